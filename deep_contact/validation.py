@@ -19,6 +19,13 @@ def expect(condition, message: str) -> None:
         raise ValueError(message)
 
 
+def refuse_where(bad: np.ndarray, name: str, values: np.ndarray, expected: str) -> None:
+    """Raise ValueError naming the first place in which `bad` holds, and the value, or row of values, that is there."""
+    if bad.any():
+        place = np.argwhere(bad)[0].tolist()
+        raise ValueError(f"{name}{place or ''}: expected {expected}, got {values[tuple(place)]}")
+
+
 def integer(name: str, value, least: int = 0, most: int | None = None) -> int:
     """`value` as an int from `least` to `most`, both included. A bool, and a float such as 2.0, is not an integer."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
@@ -40,6 +47,16 @@ def number(name: str, value, low=None, high=None, *, above=None, below=None) -> 
         limits = {">=": low, ">": above, "<=": high, "<": below}
         expected = " and".join(f" {sign} {limit}" for sign, limit in limits.items() if limit is not None)
         raise ValueError(f"{name}: expected a finite number{expected}, got {value!r}")
+    return checked
+
+
+def several(name: str, values, count: int, *, check=number, expected: str = "finite numbers") -> tuple:
+    """So many values as a tuple, each as `check` returns it. expected: what they are, for the message."""
+    try:
+        checked = tuple(check(name, value) for value in values)
+    except (TypeError, ValueError):
+        checked = ()
+    expect(len(checked) == count, f"{name}: expected {count} {expected}, got {values!r}")
     return checked
 
 

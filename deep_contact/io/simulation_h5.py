@@ -29,7 +29,7 @@ from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.state import Bodies, Contacts, State, StateWithContacts, World
 from deep_contact.state.checks import check_state, contact_faults
 from deep_contact.state.scales import ContactScales
-from deep_contact.validation import expect, number, one_of
+from deep_contact.validation import expect, number, one_of, refuse_where
 
 FORMAT = "deep-contact simulation"
 VERSION = 1
@@ -339,8 +339,7 @@ def _check_arrays(arrays: dict, segments: int) -> None:
     """What `check_state` asks of every state, for all at once. segments: how many the world has."""
 
     def refuse(name, bad, expected):
-        for at in np.argwhere(bad)[:1].tolist():
-            raise ValueError(f"{name}{at}: expected {expected}, got {arrays[name][tuple(at)]}")
+        refuse_where(bad, name, arrays[name], expected)
 
     for name, array in arrays.items():
         if array.dtype.kind == "f" and name != "theta":
@@ -355,6 +354,6 @@ def _check_arrays(arrays: dict, segments: int) -> None:
     first, last = offset[[0, -1]].tolist()
     expect((first, last) == (0, a.size), f"contact_offset: expected 0 to {a.size}, got {first} to {last}")
     for name, bad, expected in contact_faults(arrays, n, segments):
-        refuse(name, np.stack([bad] * 2, axis=1) if arrays[name].ndim == 2 else bad, expected)
+        refuse(name, bad, expected)
     key = (np.repeat(np.arange(offset.size - 1), steps[1:]) * n + a) * end + b
     refuse("body_b", np.diff(key, prepend=-1) <= 0, "contacts in the order of (body_a, body_b), each pair once")

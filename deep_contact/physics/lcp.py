@@ -16,7 +16,7 @@ from scipy import sparse
 from deep_contact.physics.engine import after_impacts
 from deep_contact.physics.segments import segments_of, surface_velocities
 from deep_contact.state import State
-from deep_contact.validation import expect
+from deep_contact.validation import expect, refuse_where
 
 
 class ContactProblem(NamedTuple):
@@ -54,8 +54,7 @@ def check_problem(problem: ContactProblem) -> ContactProblem:
     diagonal = A.diagonal()
     for i in np.flatnonzero(~(diagonal > 0)):
         raise ValueError(f"A[{i}, {i}]: expected a number > 0, got {diagonal[i]}")
-    for i in np.flatnonzero(friction < 0):
-        raise ValueError(f"friction[{i}]: expected a number >= 0, got {friction[i]}")
+    refuse_where(friction < 0, "friction", friction, "a number >= 0")
     jacobian = problem.jacobian
     if jacobian is None:
         return ContactProblem(A, b, friction=friction)
@@ -79,9 +78,7 @@ def finite(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
     if array.shape != shape:
         got = "None" if value is None else f"shape {array.shape}"
         raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {got}")
-    if not np.isfinite(array).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
-        raise ValueError(f"{name}[{', '.join(map(str, where))}]: expected a finite number, got {array[where]}")
+    refuse_where(~np.isfinite(array), name, array, "a finite number")
     return array
 
 

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.sph.kernels import as_floats, check_support_radius, kernel_number, profile
-from deep_contact.validation import expect, integer, number, one_of
+from deep_contact.validation import expect, integer, one_of, refuse_where, several
 
 ROUNDING = 1e-9
 """In spacings: a point that lies beyond the last node by no more is taken to lie on it, and an extent that exceeds a
@@ -57,9 +57,9 @@ class Grid:
     shape: tuple[int, int]
 
     def __post_init__(self):
-        origin, spacing = _several("origin", self.origin), _spacing(self.spacing)
+        origin, spacing = several("origin", self.origin, 2), _spacing(self.spacing)
         nodes = partial(integer, least=2, most=_MOST_NODES)
-        shape = _several("shape", self.shape, check=nodes, expected="integers >= 2, (n_y, n_x)")
+        shape = several("shape", self.shape, 2, check=nodes, expected="integers >= 2, (n_y, n_x)")
         for x, d, n in zip(origin, spacing, reversed(shape)):
             if not x + d * (n - 2) < x + d * (n - 1) < math.inf or not x < x + d:
                 raise ValueError(f"spacing: expected nodes that differ, got {spacing} at the origin {origin}")
@@ -73,7 +73,7 @@ class Grid:
         divide the extent, the last nodes lie beyond the box: 30 m at 0.5 m gives 61 nodes, up to 30 m; at 0.7 m it
         gives 44, up to 30.1 m. Raises ValueError naming the argument and the value.
         """
-        x_min, y_min, x_max, y_max = _several("box", box, 4)
+        x_min, y_min, x_max, y_max = several("box", box, 4)
         fits = x_min < x_max and y_min < y_max and math.isfinite(x_max - x_min + y_max - y_min)
         expect(fits, f"box: expected (x_min, y_min, x_max, y_max) of finite extent > 0, got {box}")
         dx, dy = _spacing(spacing)
@@ -363,17 +363,8 @@ def gather(
     return out if np.ndim(image) == 3 else out.reshape(-1)
 
 
-def _several(name, values, count=2, *, check=number, expected="finite numbers"):
-    try:
-        checked = tuple(check(name, value) for value in values)
-    except (TypeError, ValueError):
-        checked = ()
-    expect(len(checked) == count, f"{name}: expected {count} {expected}, got {values}")
-    return checked
-
-
 def _spacing(lengths):
-    spacing = _several("spacing", (lengths,) * 2 if np.ndim(lengths) == 0 else lengths)
+    spacing = several("spacing", (lengths,) * 2 if np.ndim(lengths) == 0 else lengths, 2)
     expect(min(spacing) > 0, f"spacing: expected numbers > 0, got {lengths}")
     return spacing
 
@@ -396,10 +387,8 @@ def positions(points) -> np.ndarray:
 
 
 def _finite(name: str, array: np.ndarray) -> np.ndarray:
-    """The array. Raises ValueError naming the first row that is not finite."""
-    if not np.isfinite(array).all():
-        row = np.argwhere(~np.isfinite(array))[0, 0]
-        raise ValueError(f"{name}[{row}]: expected finite numbers, got {array[row]}")
+    """The array. Raises ValueError naming the first number that is not finite."""
+    refuse_where(~np.isfinite(array), name, array, "a finite number")
     return array
 
 

@@ -19,7 +19,7 @@ import math
 import numpy as np
 from numba import njit
 
-from deep_contact.validation import expect, number, one_of
+from deep_contact.validation import expect, number, one_of, refuse_where
 
 GAUSSIAN_DECAY = 9.0
 """The Gaussian is exp(-9 q²): the support radius h is 3 √2 standard deviations, σ = 0.2357 h."""
@@ -141,9 +141,7 @@ def gradient(kernel: str, displacement, h: float, dim: int = 2) -> np.ndarray:
     dim = int(one_of("dim", dim, (2, 3)))
     displacement = as_floats("displacement", displacement)
     expect(displacement.shape[-1:] == (dim,), f"displacement: expected shape (..., {dim}), got {displacement.shape}")
-    if not np.isfinite(displacement).all():
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(displacement))[0])
-        raise ValueError(f"displacement{list(where)}: expected a finite number, got {displacement[where]}")
+    refuse_where(~np.isfinite(displacement), "displacement", displacement, "a finite number")
     # The largest component is taken out first: squares of the rest can neither overflow nor vanish.
     scale = np.abs(displacement).max(axis=-1, keepdims=True)
     direction = displacement / np.where(scale > 0, scale, 1.0)

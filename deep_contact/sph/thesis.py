@@ -6,7 +6,7 @@ import numpy as np
 
 from deep_contact.sph import kernels
 from deep_contact.sph.grid import Grid, image_of, positions
-from deep_contact.validation import expect, one_of
+from deep_contact.validation import expect, one_of, refuse_where
 
 
 def splat_by_tree(grid: Grid, position, values, *, h: float, kernel="poly6", normalization="raw") -> np.ndarray:
@@ -86,6 +86,5 @@ def _nodes(grid: Grid) -> np.ndarray:
 def _checked(grid: Grid, image, position) -> tuple[np.ndarray, np.ndarray]:
     expect(np.ndim(image) != 2, f"image: expected shape {(*grid.shape, 'channels')}, got {np.shape(image)}")
     values = image_of(grid, image)
-    if not np.isfinite(values).all():
-        raise ValueError(f"image: expected finite numbers, got {values[~np.isfinite(values)][0]}")
+    refuse_where(~np.isfinite(values), "image", values, "a finite number")
     return positions(position), values

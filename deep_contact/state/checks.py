@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Iterator, Mapping, Sequence
-from numbers import Real
 
 import numpy as np
 
 from deep_contact.state import LIMITS, Bodies, Contacts, State, World
 from deep_contact.state.scales import ContactScales
-from deep_contact.validation import expect, flag, integer, number
+from deep_contact.validation import expect, flag, integer, number, refuse_where, several
 
 UNIT = 1e-4
 """Largest deviation of the length of a normal from 1."""
@@ -31,7 +30,7 @@ def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, dens
         raise ValueError(f"position: expected numbers of shape (n, 2), x and y, got {position!r}") from None
     n = position.shape[0]
     radius = _for_each("radius", radius, (n,))
-    _refuse_where(radius <= 0, "bodies", "radius", radius, "a number > 0")  # before a mass is made from it
+    refuse_where(radius <= 0, "bodies.radius", radius, "a number > 0")  # before a mass is made from it
     if mass is None:
         mass = _for_each("density", density, (n,)) * np.pi * radius**2
     velocity = _for_each("velocity", velocity, (n, 2))
@@ -50,13 +49,12 @@ def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
 
 def checked_world(world: World) -> dict:
     """The fields of a world as it keeps them. Raises ValueError naming the field and the value."""
-    box, gravity, segments = _numbers(world.box), _numbers(world.gravity), _checked_segments(world.segments)
-    fits = len(box) == 4 and np.isfinite(box).all() and box[0] < box[2] and box[1] < box[3]
-    expect(fits, f"box: expected finite (x_min, y_min, x_max, y_max) of positive extent, got {world.box}")
-    fits = len(gravity) == 2 and np.isfinite(gravity).all()
-    expect(fits, f"gravity: expected two finite numbers, such as (0, -9.81), got {world.gravity}")
+    box, segments = several("box", world.box, 4), _checked_segments(world.segments)
+    fits = box[0] < box[2] and box[1] < box[3]
+    expect(fits, f"box: expected (x_min, y_min, x_max, y_max) of positive extent, got {world.box}")
     return {
-        "box": box, "gravity": gravity, "segments": segments, "scales": _checked_scales(world.scales),
+        "box": box, "segments": segments, "scales": _checked_scales(world.scales),
+        "gravity": several("gravity", world.gravity, 2, expected="finite numbers, such as (0, -9.81)"),
         "surface_speeds": _checked_speeds(world.surface_speeds, len(segments)),
         "friction": number("friction", world.friction, low=0),
         "restitution": number("restitution", world.restitution, low=0, high=1),
@@ -73,7 +71,7 @@ def check_bodies(bodies: Bodies) -> Bodies:
     names = sorted(Bodies._fields, key=lambda name: name != "radius")
     fields = {name: _checked_array("bodies", name, getattr(bodies, name), n) for name in names}
     for name in ("mass", "radius"):
-        _refuse_where(fields[name] <= 0, "bodies", name, fields[name], "a number > 0")
+        refuse_where(fields[name] <= 0, f"bodies.{name}", fields[name], "a number > 0")
     return Bodies(**fields)
 
 
@@ -86,7 +84,7 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
     fields = {name: _checked_array("contacts", name, value, m) for name, value in contacts._asdict().items()}
     a, b, end = fields["body_a"], fields["body_b"], n + 4 + segments
     for name, bad, expected in contact_faults(fields, n, segments):
-        _refuse_where(bad, "contacts", name, fields[name], expected)
+        refuse_where(bad, f"contacts.{name}", fields[name], expected)
     order = np.lexsort((b, a))
     key = a[order] * end + b[order]
     for i in order[1:][key[1:] == key[:-1]]:
@@ -182,22 +180,16 @@ def beyond_limits(**parts) -> Iterator[str]:
                 yield f"{name}{at or ''}: expected {expected}, got {values[tuple(at)]}"
 
 
-def _numbers(value) -> tuple[float, ...]:
-    """A value as floats; none where it is no numbers."""
-    try:
-        return tuple(float(v) for v in np.ravel(value))
-    except (ValueError, TypeError):
-        return ()
-
-
-def _is_list(value) -> bool:
-    return isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str)
-
-
 def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
-    if not _is_list(segments):
+    def numbers(ends) -> tuple[float, ...]:
+        try:
+            return tuple(np.array(ends, np.float64).ravel().tolist())
+        except (ValueError, TypeError):
+            return ()
+
+    if not isinstance(segments, (Sequence, np.ndarray)) or isinstance(segments, str):
         raise ValueError(f"segments: expected a list of ((x, y), (x, y)), got {segments!r}")
-    checked = tuple(map(_numbers, segments))
+    checked = tuple(map(numbers, segments))
     for index, ends in enumerate(checked):
         fits = len(ends) == 4 and np.isfinite(ends).all()
         # The squared length is what the engine divides by.
@@ -208,10 +200,8 @@ def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
 
 
 def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
-    are_numbers = _is_list(speeds) and all(isinstance(v, Real) for v in speeds)
-    checked = _numbers(speeds) if are_numbers else ()
-    if not are_numbers or len(checked) not in (0, count) or not np.isfinite(checked).all():
-        raise ValueError(f"surface_speeds: expected {count} finite numbers, m/s, one a segment, got {speeds!r}")
+    count = 0 if np.array_equal(speeds, []) else count
+    checked = several("surface_speeds", speeds, count, expected="finite numbers, m/s, one a segment")
     return checked if any(checked) else ()
 
 
@@ -252,11 +242,5 @@ def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
     except (ValueError, TypeError, OverflowError):
         raise ValueError(f"{owner}.{name}: expected numbers of shape {shape}, got {reprlib.repr(value)}") from None
     expect(array.shape == shape, f"{owner}.{name}: expected shape {shape}, got {array.shape}")
-    _refuse_where(~np.isfinite(array), owner, name, array, "a finite number")
+    refuse_where(~np.isfinite(array), f"{owner}.{name}", array, "a finite number")
     return array
-
-
-def _refuse_where(bad: np.ndarray, owner: str, name: str, values: np.ndarray, expected: str) -> None:
-    if bad.any():
-        index = int(np.argwhere(bad)[0][0])
-        raise ValueError(f"{owner}.{name}[{index}]: expected {expected}, got {values[index]}")

@@ -162,7 +162,7 @@ def _replace(name, **options):
         (_attribute("dt", 0.02), "digest"),
         (_set("velocity", (3, 1, 0), np.nan), r"velocity\[3, 1, 0\]"),
         (_set("body_b", 4, 99), r"body_b\[4\].*99"),
-        (_set("normal", 4, [0.5, 0.5]), r"normal\[4, 0\]"),
+        (_set("normal", 4, [0.5, 0.5]), r"normal\[4\]"),
         (_set("contact_offset", 5, 10**9), r"contact_offset\[5\]"),
         (_set("solved", 5, 7), r"solved\[5\]"),
         (_attribute("format", np.bytes_(b"other")), "format.*other"),
