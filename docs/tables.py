@@ -14,7 +14,7 @@ import sys
 from collections import Counter
 
 import measured
-from deep_contact.io.files import replacing
+from deep_contact.io.files import write_bytes
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import page, references, results
 from deep_contact.reporting.figures import cell
@@ -342,8 +342,7 @@ def main() -> int:
         if before != after and asked.check:
             stale.append(path.name)
         elif before != after:
-            with replacing(path) as temporary:
-                temporary.write_text(after, encoding="utf-8")
+            write_bytes(path, after.encode())
     if stale:
         print(f"expected the numbers of the results files in {stale}: run python docs/tables.py", file=sys.stderr)
     return int(bool(stale))

@@ -17,8 +17,12 @@ class FileError(ValueError):
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary path beside `path`, renamed to it at the end of the block; after an error it is removed instead."""
+    """A temporary path beside `path`, renamed to it at the end of the block; after an error it is removed instead.
+
+    The folder is made if there is none.
+    """
     path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         yield temporary
@@ -29,11 +33,9 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 
 def write_bytes(path: str | os.PathLike, data: bytes) -> Path:
     """Write a file in one move; make its folder if there is none. Returns the path."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary:
         temporary.write_bytes(data)
-    return path
+    return Path(path)
 
 
 def write_json(path: str | os.PathLike, value) -> Path:

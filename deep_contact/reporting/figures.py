@@ -34,7 +34,6 @@ import numpy as np
 from deep_contact import parallel
 from deep_contact.compiled.team import cores
 from deep_contact.io import provenance
-from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting, results
 from deep_contact.reporting.results import Claim
 from deep_contact.validation import one_of
@@ -78,11 +77,6 @@ class Figure:
         results.plain(self.options, where="options")
         for name in self.quick:
             one_of("quick", name, self.options)
-
-    @property
-    def is_table(self) -> bool:
-        """Whether the results are a table rather than a picture."""
-        return self.id.startswith("T ")
 
     @property
     def stem(self) -> str:
@@ -216,9 +210,6 @@ def _draw(figure: Figure, stored: dict, path: Path) -> None:
         if figure.beside(stored["options"]) is not None:
             picture.text(1.0, 0.0, "quick", ha="right", va="bottom", color=plotting.GREY, in_layout=False)
         plotting.save(picture, path.with_suffix(".png"))
-    if figure.is_table:
-        with replacing(path.with_suffix(".md")) as temporary:
-            temporary.write_text(_markdown(figure, stored), encoding="utf-8")
 
 
 def _redrawn(figure: Figure, path: Path) -> dict:
@@ -253,14 +244,6 @@ def claim_line(claim: dict, beside: dict | None = None, *, measured: bool = True
     source = f" ({claim['thesis']})" if claim["thesis"] else ""
     numbers = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
     return f"{results.verdict(claim, beside)}: {claim['text']}{source}" + (f": {numbers}" if measured else "")
-
-
-def _markdown(figure: Figure, stored: dict) -> str:
-    beside = figure.beside(stored["options"])
-    head, *body = [[text.replace("|", "\\|") for text in row] for row in figure.rows(stored["data"])]
-    rows = "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *body))
-    claims = "".join(f"- {claim_line(claim, beside)}\n" for claim in stored["claims"])
-    return f"**{figure.heading}**\n\n{rows}" + (f"\n{claims}" if claims else "")
 
 
 def cell(value) -> str:
@@ -331,23 +314,18 @@ def assigned(options: dict, text: str) -> tuple[str, object]:
 
 
 def _value(text: str, default):
-    """Text as a value of the default's type. Raises ValueError."""
+    """Text as a value of the default's type; whole numbers that count something from 1. Raises ValueError."""
     if isinstance(default, str):
         return text
-    if isinstance(default, list) and not text.startswith("["):
-        return [_value(item.strip(), default[0] if default else None) for item in text.split(",")]
+    if isinstance(default, list):
+        parts = map(json.dumps, json.loads(text)) if text.startswith("[") else map(str.strip, text.split(","))
+        return [_value(part, default[0] if default else None) for part in parts]
     try:
-        return _like(json.loads(text), default)
+        value = json.loads(text)
     except json.JSONDecodeError:
         if default is None:
             return text
         raise
-
-
-def _like(value, default):
-    """A value of the default's type; whole numbers that count something from 1. Raises ValueError."""
-    if isinstance(default, list) and isinstance(value, list):
-        return [_like(item, default[0]) for item in value] if default else value
     if type(default) is float and type(value) is int:
         value = float(value)
     results.plain(value)

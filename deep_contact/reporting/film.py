@@ -11,9 +11,12 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from matplotlib import animation, colormaps
+from PIL import Image, ImageDraw
 
 from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting
+from deep_contact.state import contact_lines
 from deep_contact.validation import expect
 
 FINE = 3
@@ -29,8 +32,6 @@ class Canvas:
     """
 
     def __init__(self, world, *, size: int, fastest: float, strongest: float):
-        from PIL import Image
-
         x_min, y_min, x_max, y_max = world.box
         sides = x_max - x_min, y_max - y_min
         self._scale, self._corner = (size - 16) / max(sides), np.array([x_min, y_max])
@@ -44,16 +45,13 @@ class Canvas:
 
     def __call__(self, state) -> np.ndarray:
         """The picture of a state, (height, width, 3), uint8."""
-        from matplotlib import colormaps
-        from PIL import ImageDraw
-
         image, (centre, *_, radius) = self._empty.copy(), state.bodies
         colours = colormaps[plotting.COLOUR_MAP](np.hypot(*state.bodies.velocity.T) / self._fastest)
         disc, reach = ImageDraw.Draw(image).ellipse, FINE * self._scale * radius[:, None]
         boxes, fills = np.hstack([self._pixels(centre) - reach, self._pixels(centre) + reach]), 255 * colours[:, :3]
         for box, fill in zip(boxes.tolist(), fills.astype(int).tolist()):
             disc(box, tuple(fill), DARK, FINE)
-        ticks, chains = plotting.ticks(state.bodies), plotting.contact_lines(state)
+        ticks, chains = plotting.ticks(state.bodies), contact_lines(state)
         self._draw_lines(image, ticks, np.full(len(ticks), 1.2), plotting.readable_on(colours).tolist())
         width = 0.5 + 7.5 * np.minimum(state.contacts.normal_impulse / self._strongest, 1.0)
         self._draw_lines(image, chains, width + 1.5, ["white"] * len(chains))
@@ -65,8 +63,6 @@ class Canvas:
 
     def _draw_lines(self, image, lines: np.ndarray, widths: np.ndarray, colours: list[str]) -> None:
         """Lines with round ends. lines: (m, 2, 2), m. widths: (m,), pixels."""
-        from PIL import ImageDraw
-
         draw = ImageDraw.Draw(image)
         for ends, width, colour in zip(self._pixels(lines).tolist(), (FINE * widths).tolist(), colours):
             draw.line([*map(tuple, ends)], colour, round(width))
@@ -79,23 +75,17 @@ def write_film(path, pictures: Iterable[np.ndarray], fps: float) -> Path:
 
     Raises ValueError for another ending, and for an MP4 without ffmpeg, before the first picture is made.
     """
-    from matplotlib import animation
-
     path = Path(path)
     writers = {".gif": _write_gif, ".mp4": _write_mp4}
     expect(path.suffix in writers, f"path: expected a name that ends in .gif or .mp4, got {str(path)!r}")
     can_write = path.suffix == ".gif" or animation.writers.is_available("ffmpeg")
     expect(can_write, f"path: expected ffmpeg to be installed for {str(path)!r}, got none; a .gif needs none")
-    path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary:
         writers[path.suffix](temporary, iter(pictures), fps)
     return path
 
 
 def _write_gif(path: Path, pictures, fps: float) -> None:
-    from matplotlib import colormaps
-    from PIL import Image
-
     speeds = 255 * colormaps[plotting.COLOUR_MAP](np.linspace(0.0, 1.0, 32))[:, :3]
     palette = Image.new("P", (1, 1))
     colours = np.concatenate([speeds, np.mgrid[:6, :6, :6].reshape(3, -1).T * 51])  # and what edges need
@@ -105,8 +95,6 @@ def _write_gif(path: Path, pictures, fps: float) -> None:
 
 
 def _write_mp4(path: Path, pictures, fps: float) -> None:
-    from matplotlib import animation
-
     first = next(pictures)
     size = f"{first.shape[1]}x{first.shape[0]}"
     source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(fps), "-i", "-"]

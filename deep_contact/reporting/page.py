@@ -14,7 +14,7 @@ from pathlib import Path
 
 import jinja2
 
-from deep_contact.io.files import replacing
+from deep_contact.io.files import write_bytes
 from deep_contact.reporting import references, results
 from deep_contact.reporting.figures import cell
 
@@ -55,9 +55,7 @@ def write_report(
         faults=faults,
         errata=ERRATA,
     )
-    with replacing(folder / "index.html") as temporary:
-        temporary.write_text(page, encoding="utf-8")
-    return folder / "index.html"
+    return write_bytes(folder / "index.html", page.encode())
 
 
 def _content(path: Path) -> dict:

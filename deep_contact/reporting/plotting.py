@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact.io.files import replacing
+from deep_contact.state import Bodies, Contacts, State, World, contact_lines, no_contacts
 from deep_contact.validation import expect, one_of
 
 DPI = 150
@@ -244,16 +245,12 @@ def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
 
 def state_data(state) -> dict:
     """The part of a state that `draw_state` needs, for the data of a results file; `state_of` reads it back."""
-    from deep_contact.state import no_contacts
-
     data = {"name": state.name, "time": state.time, "box": state.world.box, "segments": state.world.segments}
     return data | {"bodies": state.bodies, "contacts": state.contacts or no_contacts()}
 
 
 def state_of(data: Mapping):
     """The state that `state_data` stored. It can be drawn, not simulated: it lacks gravity and solver settings."""
-    from deep_contact.state import Bodies, Contacts, State, World, no_contacts
-
     bodies, contacts = ({name: np.array(of) for name, of in data[part].items()} for part in ("bodies", "contacts"))
     contacts = Contacts(**contacts) if contacts["body_a"].size else no_contacts()
     world = World(box=tuple(data["box"]), segments=data.get("segments", ()))
@@ -302,33 +299,20 @@ def draw_state(
     colours = readable_on(np.atleast_2d(circles.get_facecolor()))
     ax.add_collection(LineCollection(ticks(bodies), colors=colours, linewidths=1.0))
     if contacts and state.contacts is not None and state.contacts.count:
-        _draw_contacts(ax, state, largest_impulse)
+        impulse = state.contacts.normal_impulse
+        largest = float(impulse.max()) if largest_impulse is None else largest_impulse
+        width = 0.3 + 4.0 * np.minimum(impulse / (largest or 1.0), 1.0)
+        # A white line below sets each line off from circles of any colour.
+        for colour, more in (("white", 0.8), (VERMILION, 0.0)):
+            look = {"colors": colour, "linewidths": width + more, "capstyle": "round"}
+            ax.add_collection(LineCollection(contact_lines(state), **look))
     return circles
-
-
-def _draw_contacts(ax, state, largest_impulse: float | None) -> None:
-    from matplotlib.collections import LineCollection
-
-    contacts, lines = state.contacts, contact_lines(state)
-    largest = float(contacts.normal_impulse.max()) if largest_impulse is None else largest_impulse
-    width = 0.3 + 4.0 * np.minimum(contacts.normal_impulse / (largest or 1.0), 1.0)
-    # A white line below sets each line off from circles of any colour.
-    for colour, more in (("white", 0.8), (VERMILION, 0.0)):
-        ax.add_collection(LineCollection(lines, colors=colour, linewidths=width + more, capstyle="round"))
 
 
 def ticks(bodies) -> np.ndarray:
     """Lines that show the orientations, (n, 2, 2), m, from half the radius on: a whole one looks like a contact."""
     heading = np.stack([np.cos(bodies.angle), np.sin(bodies.angle)], axis=1) * bodies.radius[:, None]
     return np.stack([bodies.position + 0.5 * heading, bodies.position + 0.95 * heading], axis=1)
-
-
-def contact_lines(state) -> np.ndarray:
-    """A line for each contact, (m, 2, 2), m: from the centre of one circle to that of the other, or to the wall."""
-    bodies, contacts = state.bodies, state.contacts
-    ends, between = contacts.position.copy(), contacts.body_b < bodies.count
-    ends[between] = bodies.position[contacts.body_b[between]]
-    return np.stack([bodies.position[contacts.body_a], ends], axis=1)
 
 
 def draw_forces(ax, state, *, largest: float | None = None) -> None:
@@ -458,7 +442,6 @@ def save(figure, path: str | os.PathLike) -> Path:
     path = Path(path)
     hint = "figure.savefig writes other formats"
     expect(path.suffix.lower() == ".png", f"path: expected a name that ends in .png, got {str(path)!r}; {hint}")
-    path.parent.mkdir(parents=True, exist_ok=True)
     with style(), replacing(path) as temporary:
         # No date and no version in the file, so that equal pictures are equal files.
         figure.savefig(temporary, format="png", dpi=DPI, metadata={"Software": None})

@@ -270,11 +270,9 @@ class State:
         return summary | ({"impulses": "solved"} if self.solved else {})
 
     def _picture(self) -> str:
-        (position, *_, radius), contacts, world = self.bodies, self.contacts or no_contacts(), self.world
-        ends, between = contacts.position.copy(), contacts.body_b < len(radius)
-        ends[between] = position[contacts.body_b[between]]
-        lines = np.stack([position[contacts.body_a], ends], axis=1)
-        return notebook.picture_of(world.box, position, radius, lines, contacts.normal_impulse, world.segments)
+        (position, *_, radius), world, lines = self.bodies, self.world, contact_lines(self)
+        strength = () if self.contacts is None else self.contacts.normal_impulse
+        return notebook.picture_of(world.box, position, radius, lines, strength, world.segments)
 
 
 if TYPE_CHECKING:
@@ -295,6 +293,14 @@ def native(state: State) -> State:
             arrays = (array.astype(array.dtype.newbyteorder("="), copy=False) for array in part)
             state = state.replace(**{name: type(part)(*arrays)})
     return state
+
+
+def contact_lines(state: State) -> np.ndarray:
+    """A line for each contact, (m, 2, 2), m: from the centre of one circle to that of the other, or to the wall."""
+    bodies, contacts = state.bodies, state.contacts or no_contacts()
+    ends, between = contacts.position.copy(), contacts.body_b < bodies.count
+    ends[between] = bodies.position[contacts.body_b[between]]
+    return np.stack([bodies.position[contacts.body_a], ends], axis=1)
 
 
 def no_contacts() -> Contacts:
