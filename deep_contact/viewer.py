@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from matplotlib import pyplot
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.reporting import plotting
@@ -80,8 +83,6 @@ class Painter:
 
 def has_display() -> bool:
     """Whether matplotlib can open a window here."""
-    from matplotlib import pyplot
-
     try:
         figure = pyplot.figure()
     except ImportError:  # MPLBACKEND names a backend for windows that cannot be loaded
@@ -103,8 +104,6 @@ def _painted(frames: Iterable[Frame], figure) -> Iterator[None]:
 
 def play(frames: Iterable[Frame]) -> int:
     """Show frames in a window until they end or the window is closed. Returns how many were shown."""
-    from matplotlib import pyplot
-
     shown = 0
     with plotting.style():
         figure = pyplot.figure(**LAYOUT)
@@ -121,9 +120,6 @@ def record(frames: Iterable[Frame], path, *, fps: float = 25) -> Path:
 
     Raises ValueError for another kind of file, and for an MP4 without ffmpeg, before the first frame is made.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     with plotting.style():
         canvas = FigureCanvasAgg(Figure(**LAYOUT, dpi=80))
 

@@ -55,9 +55,6 @@ def main(arguments=None, folder=HERE):
             taken = ["--out", path] if name in references.STUDIES else passed_on
             work.append((name, [script, *taken, *options], path))
         work.append(("tables", [HERE.parent / "docs" / "tables.py"], None))
-    if args.list:
-        print(*(" ".join(map(str, command)) for _, command, _ in work), sep="\n")
-        return 0
     done, status = [], 0
     for number, (name, command, stored) in enumerate(work, start=1):
         left = sum(references.made(one)["wall_s"] for one, *_ in work[number - 1 : -1]) if args.references else 0
@@ -77,15 +74,11 @@ def main(arguments=None, folder=HERE):
 
 def parse(arguments):
     """The arguments, and the list of those that are passed on to every script."""
-    layout = {
-        "formatter_class": argparse.RawDescriptionHelpFormatter,
-        "parents": [common_arguments("each script's own")],
-    }
-    parser = argparse.ArgumentParser(description=__doc__, **layout)
+    layout, common = argparse.RawDescriptionHelpFormatter, common_arguments("each script's own")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout, parents=[common])
     add = parser.add_argument
     add("--stale", action="store_true", help="list what of data/reference is old")
     add("--references", action="store_true", help="make what of data/reference is old")
-    add("--list", action="store_true", help="only name what is to be made")
     add("--only", metavar="IDS", help="numbers parted by commas: 3.7,5.9,T5.1")
     args = parser.parse_args(arguments)
     if args.references:

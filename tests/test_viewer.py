@@ -1,10 +1,12 @@
 """`python -m deep_contact view`: frames, films, windows, and the command line."""
 
+import importlib
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import run_python
+from matplotlib import animation, pyplot
+from PIL import Image
 
 import deep_contact as dc
 from deep_contact import viewer
@@ -47,8 +49,6 @@ def test_a_step_without_contacts_can_be_drawn():
 
 
 def test_a_film_has_two_panels_and_a_frame_for_each_state(scene, tmp_path):
-    from PIL import Image
-
     written = viewer.record(viewer.frames(scene, steps=6, every=3), tmp_path / "view.gif", fps=10)
     with Image.open(written) as gif:
         assert gif.n_frames == 2
@@ -60,8 +60,6 @@ def test_a_film_has_two_panels_and_a_frame_for_each_state(scene, tmp_path):
     [("a.mp4", "expected ffmpeg to be installed for .*a.mp4"), ("a.avi", "expected a name that ends in .gif or .mp4")],
 )
 def test_a_film_that_cannot_be_written_is_refused_before_the_first_frame(tmp_path, monkeypatch, name, message):
-    from matplotlib import animation
-
     monkeypatch.setattr(animation.writers, "is_available", lambda writer: False)
     never = (pytest.fail("a frame was made") for _ in range(1))
     with pytest.raises(ValueError, match=message):
@@ -69,47 +67,34 @@ def test_a_film_that_cannot_be_written_is_refused_before_the_first_frame(tmp_pat
 
 
 def test_a_window_plays_all_frames(scene, monkeypatch):
-    from matplotlib import pyplot
-
     pyplot.switch_backend("agg")
     monkeypatch.setattr(pyplot, "show", lambda **_: None)
     assert viewer.play(viewer.frames(scene, steps=3)) == 3
 
 
-def test_without_a_display_or_a_toolkit_there_is_no_window(monkeypatch):
-    from matplotlib import pyplot
+@pytest.mark.parametrize("framework", [None, "qt"])
+def test_a_window_needs_a_display(monkeypatch, framework):
+    canvas = SimpleNamespace(required_interactive_framework=framework)
+    monkeypatch.setattr(pyplot, "figure", lambda: SimpleNamespace(canvas=canvas))
+    monkeypatch.setattr(pyplot, "close", lambda figure: vars(figure).pop("canvas"))  # as from Matplotlib 3.11 on
+    assert viewer.has_display() == (framework is not None)
 
-    pyplot.switch_backend("agg")
-    assert not viewer.has_display()
-    canvas = SimpleNamespace(required_interactive_framework="qt")
-    with monkeypatch.context() as patch:
-        patch.setattr(pyplot, "figure", lambda: SimpleNamespace(canvas=canvas))
-        # As from Matplotlib 3.11 on.
-        patch.setattr(pyplot, "close", lambda figure: vars(figure).pop("canvas"))
-        assert viewer.has_display()
 
-    def no_toolkit():
-        raise ImportError("cannot load backend 'TkAgg'")
-
-    monkeypatch.setattr(pyplot, "figure", no_toolkit)
+def test_a_window_needs_a_toolkit(monkeypatch):
+    monkeypatch.setattr(pyplot, "figure", lambda: importlib.import_module("a_toolkit_that_is_not_there"))
     assert not viewer.has_display()
 
 
 # ---- the command line ----
 
 
-def test_a_state_file_is_gone_on_from(scene, tmp_path, capsys):
-    state = dc.simulate(scene, steps=4).state
-    dc.write_state(tmp_path / "state.xml", state)
-    out = tmp_path / "view.gif"
-    assert main(["view", str(tmp_path / "state.xml"), "--steps", "2", "--every", "1", "--out", str(out)]) == 0
-    assert out.exists()
-    assert str(out) in capsys.readouterr().out
-
-
-def test_without_a_display_a_film_is_written(tmp_path):
-    arguments = ["--bodies", 3, "--steps", 2, "--every", 1]
-    environment = {"MPLBACKEND": "agg", "PATH": "", "PYTHONPATH": str(dc.__path__[0] + "/..")}
-    done = run_python("-m", "deep_contact", "view", *arguments, cwd=tmp_path, environment=environment)
-    assert "no display" in done.stderr
-    assert (tmp_path / "view.gif").read_bytes().startswith(b"GIF89a")
+@pytest.mark.parametrize("out", [None, "mine.gif"])
+def test_a_state_is_gone_on_from_and_without_a_display_a_film_is_written(scene, tmp_path, monkeypatch, capsys, out):
+    dc.write_state(tmp_path / "state.xml", dc.simulate(scene, steps=4).state)
+    monkeypatch.chdir(tmp_path)
+    pyplot.switch_backend("agg")
+    assert main(["view", "state.xml", "--steps", "2", "--every", "1", *(["--out", out] if out else [])]) == 0
+    said = capsys.readouterr()
+    assert ("no display" in said.err) == (out is None)
+    assert said.out.strip() == (out or "view.gif")
+    assert (tmp_path / said.out.strip()).read_bytes().startswith(b"GIF89a")

@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 from functools import cache
 
+from numba.core import event
+
 # compiled in: deep_contact.compiled.boxing
 
 PATIENCE, ESTIMATE = 0.5, "it takes half a minute to a minute; `deep-contact warm-up` does it ahead"
@@ -18,7 +20,6 @@ def prepare_numba() -> None:
 
     Call it before `njit` is used.
     """
-    from numba.core import event
     from numba.np import linalg
 
     from deep_contact.compiled import boxing, code_cache
@@ -33,26 +34,25 @@ def prepare_numba() -> None:
     finally:
         linalg.ensure_blas = check
     if multiprocessing.parent_process() is None or multiprocessing.current_process().name.endswith("-1"):
-        event.register("numba:compile", announcement(lambda line: print(line, file=sys.stderr, flush=True)))
+        event.register("numba:compile", Announcement(lambda line: print(line, file=sys.stderr, flush=True)))
 
 
-def announcement(echo: Callable[[str], None]):
-    """A listener that hands one line to `echo` once physics, which no cache had, take Numba longer than `PATIENCE`."""
-    from numba.core import event
+class Announcement(event.Listener):
+    """Hands one line to `echo` once physics, which no cache had, take Numba longer than `PATIENCE`."""
 
-    class Announcement(event.Listener):
-        is_made, running, begun = False, 0, 0.0
+    is_made, running, begun = False, 0, 0.0
 
-        def on_start(self, event) -> None:
-            self.begun = self.begun if self.running else time.perf_counter()
-            self.running += 1
-            is_long = time.perf_counter() - self.begun >= PATIENCE
-            module = str(event.data["dispatcher"].py_func.__module__)  # Numba makes functions of no module
-            if is_long and not self.is_made and "deep_contact.physics." in module:
-                self.is_made = True
-                echo(f"deep_contact: compiling for this kind of scene and solver, once; {ESTIMATE}")
+    def __init__(self, echo: Callable[[str], None]):
+        self.echo = echo
 
-        def on_end(self, event) -> None:
-            self.running -= 1
+    def on_start(self, event) -> None:
+        self.begun = self.begun if self.running else time.perf_counter()
+        self.running += 1
+        is_long = time.perf_counter() - self.begun >= PATIENCE
+        module = str(event.data["dispatcher"].py_func.__module__)  # Numba makes functions of no module
+        if is_long and not self.is_made and "deep_contact.physics." in module:
+            self.is_made = True
+            self.echo(f"deep_contact: compiling for this kind of scene and solver, once; {ESTIMATE}")
 
-    return Announcement()
+    def on_end(self, event) -> None:
+        self.running -= 1

@@ -12,7 +12,7 @@ from numba import njit
 from numba.core import caching, event
 
 import deep_contact.compiled as compiled
-from deep_contact.compiled import announcement, code_cache
+from deep_contact.compiled import Announcement, code_cache
 from deep_contact.compiled.code_cache import source_stamp
 
 SOURCES = {
@@ -143,7 +143,7 @@ def test_compiling_is_announced_once_and_only_where_physics_are_compiled(monkeyp
     other.py_func.__module__ = None  # as of functions that Numba makes
     for functions, lines in (((other,), 0), ((one, two), 1), ((one,), 0)):
         said = []
-        with event.install_listener("numba:compile", announcement(said.append)):
+        with event.install_listener("numba:compile", Announcement(said.append)):
             for function in functions:
                 function(1)
         assert len(said) == lines
