@@ -15,17 +15,16 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import constants, parallel
+from deep_contact import constants
 from deep_contact.cnn.dataset import PHASES, phase, simulation_path
 from deep_contact.io import simulation_h5
-from deep_contact.io.files import write_bytes
 from deep_contact.io.simulation_h5 import DataFileError, simulation_info
 from deep_contact.physics import metrics
 from deep_contact.reporting import figures
@@ -77,11 +76,10 @@ class Job:
         return {"seed": {"entropy": self.seed, "spawn_key": [self.number]}, "options": options}
 
 
-def make_simulation(job: Job) -> bytes:
-    """The file of one simulation. Nothing is written here: a worker may be on another machine."""
+def make_simulation(job: Job) -> None:
+    """Write the file of one simulation."""
     states, sweeps, theta = (packed_states(job.number), None, None) if job.packing else simulate(job)
-    packed = simulation_h5.pack_simulation(states, sweeps=sweeps, theta=theta, **job.header)
-    return simulation_h5.simulation_file(packed)
+    simulation_h5.write_simulation(job.path, states, sweeps=sweeps, theta=theta, **job.header)
 
 
 def simulate(job: Job) -> tuple[list, list, list]:
@@ -131,7 +129,7 @@ def write_xml(job: Job) -> None:
 
 def make_sample(out: Path) -> None:
     """Two states of each phase of a full simulation as XML, and a short one of few circles as HDF5."""
-    run([Job(0, SAMPLE_SEED, QUICK["steps"], QUICK["bodies"], str(out))], 1)
+    make_simulation(Job(0, SAMPLE_SEED, QUICK["steps"], QUICK["bodies"], str(out)))
     states, _, _ = simulate(Job(1, SAMPLE_SEED, FULL["steps"], FULL["bodies"], str(out)))
     for name in PHASES:
         of_phase = [state for state in states if phase(state) == name]
@@ -152,22 +150,22 @@ def missing(jobs: list[Job]) -> list[Job]:
     return [job for job in jobs if not job.path.exists()]
 
 
-def run(jobs: list[Job], workers) -> None:
-    """Make simulations; this process writes each file as it arrives."""
-    with closing(parallel.finished(make_simulation, jobs, jobs=workers)) as made:
-        for i, data in figures.progress_bar(made, total=len(jobs), text="simulations"):
-            write_bytes(jobs[i].path, data)
+def positive(text: str, least: int = 1) -> int:
+    """An option's integer."""
+    if int(text) < least:
+        raise argparse.ArgumentTypeError(f"expected an integer >= {least}, got {text}")
+    return int(text)
 
 
 def parse(arguments=None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     add = parser.add_argument
-    add("--simulations", type=int, metavar="N", help="how many (150; 640 packings)")
-    add("--steps", type=int, metavar="N", help="time steps of each (600)")
+    add("--simulations", type=positive, metavar="N", help="how many (150; 640 packings)")
+    add("--steps", type=positive, metavar="N", help="time steps of each (600)")
     add("--bodies", type=int, nargs=2, metavar=("LOW", "HIGH"), help="circles, both included (70 110)")
-    add("--seed", type=int, default=0, help="of the whole set (0)")
+    add("--seed", type=partial(positive, least=0), default=0, help="of the whole set (0)")
     add("--out", type=Path, help="folder (data/generated)")
-    add("--jobs", type=int, default=2, metavar="N", help="processes (2)")
+    add("--jobs", type=positive, default=2, metavar="N", help="processes (2)")
     add("--xml", action="store_true", help="write every state as XML as well")
     add("--gzip", action="store_true", help="compress the XML files")
     add = parser.add_mutually_exclusive_group().add_argument
@@ -185,9 +183,6 @@ def parse(arguments=None) -> argparse.Namespace:
     for name, value in (QUICK if args.quick else FULL).items():
         if getattr(args, name) is None:
             setattr(args, name, PACKINGS if args.packings and name == "simulations" else value)
-    for name, least in (("simulations", 1), ("steps", 1), ("seed", 0), ("jobs", 1)):
-        if getattr(args, name) < least:
-            parser.error(f"--{name}: expected an integer >= {least}, got {getattr(args, name)}")
     if not 1 <= args.bodies[0] <= args.bodies[1]:
         parser.error(f"--bodies: expected 1 <= LOW <= HIGH, got {args.bodies[0]} {args.bodies[1]}")
     if args.gzip and not args.xml:
@@ -206,9 +201,10 @@ def main(arguments=None) -> int:
     try:
         wanted = missing(jobs)
         print(f"{args.out}: {len(jobs)} simulations, {len(jobs) - len(wanted)} are there already")
-        run(wanted, args.jobs)
+        parallel = {"jobs": args.jobs, "progress": figures.progress_bar}
+        figures.parallel_map(make_simulation, wanted, text="simulations", **parallel)
         if args.xml:
-            figures.parallel_map(write_xml, jobs, jobs=args.jobs, progress=figures.progress_bar, text="XML")
+            figures.parallel_map(write_xml, jobs, text="XML", **parallel)
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
         return 130

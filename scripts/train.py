@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import shlex
+import subprocess
 import sys
 import types
 import typing
@@ -24,7 +25,8 @@ from pathlib import Path
 from deep_contact.cnn.registry import network_file
 from deep_contact.cnn.training.config import CONFIGS, TrainingConfig, config_of
 
-QUICK_DATA = {"simulations": 12, "steps": 250, "bodies": (40, 60), "seed": 1}
+QUICK_DATA = "--simulations 12 --steps 250 --bodies 40 60 --seed 1 --jobs 1".split()
+"""What `generate_data.py` makes for --quick."""
 QUICK = {
     "far field": {"options": {"width": 8}, "epochs": 8, "states_per_epoch": 960},
     "thesis": {
@@ -80,22 +82,6 @@ def configuration(changes: dict, from_model, quick: bool = False) -> TrainingCon
     return CONFIGS.get(changes.get("architecture"), TrainingConfig)(**(small | changes))
 
 
-def make_states(folder: Path, *, simulations: int, steps: int, bodies: tuple[int, int], seed: int) -> None:
-    """A small data set of the thesis's scene, like that of `generate_data.py`. Existing files are kept."""
-    from deep_contact.cnn.dataset import simulation_path
-    from deep_contact.io.simulation_h5 import write_simulation
-    from deep_contact.physics.solvers import PGS
-    from deep_contact.reporting.figures import progress_bar, seeds
-    from deep_contact.studies.starts import scene_of, solved_states
-
-    for number, child in enumerate(progress_bar(seeds(seed, simulations), text="simulations")):
-        path = simulation_path(folder, number)
-        if not path.exists():
-            states = solved_states(scene_of(bodies, size=30.0, seed=child), steps=steps, solver=PGS(sweeps=5000))
-            options = {"steps": steps, "bodies": list(bodies)}
-            write_simulation(path, states, options=options, seed={"entropy": [seed, number]})
-
-
 def run(data, out, quick, **changes) -> None:
     """Train, and print the errors on the test states."""
     options = {name: changes.pop(name) for name in ("threads", "held_out", "from_model")}
@@ -107,8 +93,10 @@ def run(data, out, quick, **changes) -> None:
 
     if quick and data is None:
         data = out / "data"
-        print(f"{data}: {QUICK_DATA['simulations']} short simulations, about 8 MB")
-        make_states(data, **QUICK_DATA)
+        print(f"{data}: short simulations, about 8 MB", flush=True)
+        made = [sys.executable, Path(__file__).with_name("generate_data.py"), "--out", data, *QUICK_DATA]
+        if subprocess.run(made).returncode:
+            raise RuntimeError(f"{data}: expected simulations, got none")
     data = Store(data or "data/generated").folder  # before TensorFlow, which takes seconds to load
     from deep_contact.cnn.backend import keras
     from deep_contact.cnn.training import train

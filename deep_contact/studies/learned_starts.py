@@ -92,18 +92,15 @@ OFF = 0.05
 """Velocity error of Builtin's start above which a better start can matter."""
 
 
-def errors_on_scenes(
-    starts: Mapping, options: Mapping, seed: int, jobs, progress: Callable, *, several: Sequence[str] = ()
-) -> list[dict]:
-    """Errors of settings on the same states of the thesis's scenes, with μ = 0.3; the training data have 0.5.
+def errors_on_scenes(starts: Mapping, options: Mapping, seed: int, jobs, progress: Callable) -> list[dict]:
+    """Errors of starts with all of `FOLLOWING` on the same states of the thesis's scenes, with μ = 0.3.
 
-    starts: name -> description (`starts.start_of`), among them "builtin". options: number of "scenes", "steps" of a
-    scene, of which one in "every" is measured, and the numbers of sweeps "after" which errors are measured. several:
-    starts that all of `FOLLOWING` follow; PGS follows the others.
-    Returns scene by scene {"step": (states,), "errors": {setting: (states, len(after))}}.
+    The training data have 0.5. starts: name -> description (`starts.start_of`), among them "builtin". options: number
+    of "scenes", "steps" of a scene, of which one in "every" is measured, and the numbers of sweeps "after" which errors
+    are measured. Returns scene by scene {"step": (states,), "errors": {setting: (states, len(after))}}.
     """
-    common = {**options, "starts": starts, "settings": [*starts, *settings_with(several, FOLLOWING[1:])]}
-    tasks = [common | {"seed": s} for s in seeds(seed, options["scenes"])]
+    settings = [*starts, *settings_with(starts, FOLLOWING[1:])]
+    tasks = [{**options, "starts": starts, "settings": settings, "seed": s} for s in seeds(seed, options["scenes"])]
     return parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
 
 
@@ -156,11 +153,6 @@ def ratios_of(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return interval(lambda drawn: one[drawn].mean(axis=1) / other[drawn].mean(axis=1), len(one)).T
 
 
-def ratios_to_builtin(scenes: Sequence[Mapping], setting: str, where: str = "all") -> np.ndarray:
-    """`ratios_of` a setting to PGS from Builtin."""
-    return ratios_of(mean_errors(scenes, setting, where), mean_errors(scenes, "builtin", where))
-
-
 def ratios_to_best(scenes: Sequence[Mapping], start: str, where: str = "all") -> np.ndarray:
     """`ratios_of` a start with its best solver to the best classical setting."""
     return ratios_of(best_errors(scenes, [start], where), best_errors(scenes, CLASSICAL, where))
@@ -180,10 +172,10 @@ def from_rows(start: WarmStart, state: State) -> Callable[[], object]:
     return partial(make, state, PGS(), *rows)
 
 
-def sweep_time(state: State, solver: str, repeats: int) -> float:
-    """Seconds of a sweep of a solver over a state's contacts."""
-    many = 10 + max(20, 400_000 // state.contacts.count)
-    return timing.line(lambda k: solve_contacts(state, solver=fixed(solver, k)), 10, many, repeats=repeats)[0]
+def sweep_times(state: State, solvers: Iterable[str], counts: tuple[int, int], repeats: int) -> dict:
+    """Solver -> (time of a sweep, time of none), s, by two numbers of sweeps."""
+    swept = {name: lambda k, name=name: solve_contacts(state, solver=fixed(name, k)) for name in solvers}
+    return {name: timing.line(solve, *counts, repeats=repeats) for name, solve in swept.items()}
 
 
 def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]:
@@ -237,10 +229,12 @@ def times_on(states: Sequence[State], starts: Mapping[str, WarmStart], repeats: 
     """Seconds of every start on every state, whose rows are built before, and of a sweep of every solver of `TIMED` on
     the last state: the least of the repeats.
     """
-
-    solvers = sorted({parts_of(name)[1] for name in TIMED})
     times = {name: [timing.fastest(from_rows(start, s), repeats) for s in states] for name, start in starts.items()}
-    sweeps = {name: sweep_time(states[-1], name, repeats) for name in solvers if states}
+    sweeps = {}
+    if states:
+        many = 10 + max(20, 400_000 // states[-1].contacts.count)
+        swept = sweep_times(states[-1], sorted({parts_of(name)[1] for name in TIMED}), (10, many), repeats)
+        sweeps = {name: a_sweep for name, (a_sweep, _) in swept.items()}
     return {"start_seconds": times, "sweep_seconds": sweeps}
 
 

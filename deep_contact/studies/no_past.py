@@ -16,7 +16,7 @@ from deep_contact.physics.solvers import NNCG
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import StateWithContacts
 from deep_contact.studies import piles, timing
-from deep_contact.studies.learned_starts import BASE, errors_of, fixed, from_rows, settings_with
+from deep_contact.studies.learned_starts import BASE, errors_of, fixed, from_rows, settings_with, sweep_times
 from deep_contact.warm_start import LearnedSupport, Support
 
 METHODS = ("PSOR 1.5", BASE, "NNCG", "NesterovPGS")
@@ -76,11 +76,8 @@ def times(state: StateWithContacts, starts: Mapping, repeats: int) -> dict:
 
     starts: of `starts_of`.
     """
-    sweeps = {}
-    for name in METHODS:
-        swept = lambda k, name=name: solve_contacts(state, solver=fixed(name, k))  # noqa: E731
-        slope, overhead = timing.line(swept, 20, 220, repeats=repeats)
-        sweeps[name] = [max(overhead, 0.0), slope]
+    swept = sweep_times(state, METHODS, (20, 220), repeats)
+    sweeps = {name: [max(overhead, 0.0), slope] for name, (slope, overhead) in swept.items()}
     price = timing.interleaved(starts, repeats=repeats)
     return {"contacts": state.contacts.count, "price": price, "sweeps": sweeps}
 

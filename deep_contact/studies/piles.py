@@ -20,11 +20,9 @@ from deep_contact.studies.starts import solved_states
 from deep_contact.validation import one_of
 
 KINDS = {
-    "impact": (0.5, np.inf),
     "falling": (1.0, np.inf),
     "settling": (1.0, 0.5),
     "resting": (1.0, 0.05),
-    "rest": (1.5, 0.05),
 }
 """Kind of pile -> contacts a circle that it has at least, and root mean square speed that it is below, m/s."""
 

@@ -33,8 +33,8 @@ def test_the_solution_as_a_start_has_no_error_and_sweeps_from_zero_lower_it(fall
 def test_errors_on_scenes_name_every_setting():
     options = {"scenes": 1, "steps": 60, "every": 20, "after": [0, 3]}
     starts = {"none": "none", "builtin": "builtin"}
-    (few,) = learned_starts.errors_on_scenes(starts, options, 1, 1, lambda items, **_: items, several=["builtin"])
-    assert few["errors"].keys() == {"none", "builtin", *(f"builtin, {name}" for name in learned_starts.FOLLOWING[1:])}
+    (few,) = learned_starts.errors_on_scenes(starts, options, 1, 1, lambda items, **_: items)
+    assert few["errors"].keys() == set(learned_starts.settings_with(starts))
     assert all(np.shape(errors) == (len(few["step"]), 2) for errors in few["errors"].values())
 
 
@@ -52,7 +52,8 @@ def test_the_best_classical_setting_is_chosen_after_the_fact():
     scenes = scenes_of(**errors)
     assert learned_starts.best_settings(scenes, CLASSICAL) == ["builtin, NNCG"] * 2
     np.testing.assert_allclose(learned_starts.ratios_to_best(scenes, LEARNED), 0.8)  # proportional: no spread
-    np.testing.assert_allclose(learned_starts.ratios_to_builtin(scenes, LEARNED), 0.6)
+    means = (learned_starts.mean_errors(scenes, name) for name in (LEARNED, "builtin"))
+    np.testing.assert_allclose(learned_starts.ratios_of(*means), 0.6)
     np.testing.assert_allclose(learned_starts.mean_errors(scenes, "builtin", "off")[0], [1.0, 0.5])
 
 
