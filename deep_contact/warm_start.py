@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
+from deep_contact import sph
 from deep_contact.physics.contact_solver import NORMAL, TANGENT, best_share
 from deep_contact.physics.engine import StepProblem, solve, step_problem
 from deep_contact.physics.support import supported
@@ -151,15 +152,11 @@ class Sph:
 
     def splat(self, state: State, impulses: np.ndarray) -> np.ndarray:
         """The image of the impulses, (n_y, n_x, 2)."""
-        from deep_contact import sph
-
         grid, points, options = self._transfer(state)
         return sph.splat(grid, points, impulses, normalization="particle", **options)
 
     def gather(self, state: State, image: np.ndarray, *, method: str = "bilinear") -> tuple[np.ndarray, np.ndarray]:
         """(λ_n, λ_t) of an image at the contacts."""
-        from deep_contact import sph
-
         (grid, points, options), ends = self._transfer(state), {"outside": "clamp", "unreached": "zero"}
         if self.transfer == "spline":
             back = sph.read_by_spline(grid, image, points)
@@ -178,8 +175,6 @@ class Sph:
         A contact with a wall lies half its penetration outside the box. Where no node is within h, the thesis's
         transfer loses the contact; the consistent one gives it to the nearest node.
         """
-        from deep_contact import sph
-
         h = self.spacing if self.support is None else self.support
         unreached = "nearest" if self.transfer == "consistent" else "zero"
         options = {"h": h, "kernel": self.kernel, "outside": "clamp", "unreached": unreached}

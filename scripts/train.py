@@ -22,7 +22,6 @@ import typing
 from dataclasses import fields
 from pathlib import Path
 
-from deep_contact.cnn.registry import network_file
 from deep_contact.cnn.training.config import CONFIGS, TrainingConfig, config_of
 
 QUICK_DATA = "--simulations 12 --steps 250 --bodies 40 60 --seed 1 --jobs 1".split()
@@ -86,6 +85,8 @@ def run(data, out, quick, **changes) -> None:
     """Train, and print the errors on the test states."""
     options = {name: changes.pop(name) for name in ("threads", "held_out", "from_model")}
     if options["from_model"] is not None:
+        from deep_contact.cnn.registry import network_file
+
         options["from_model"] = network_file(options["from_model"])
     config = configuration(changes, options["from_model"], quick)
     out = Path(out or f"runs/{'quick_' if quick else ''}{config.architecture.replace(' ', '_')}")
