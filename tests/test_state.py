@@ -81,11 +81,6 @@ def test_circles_come_and_go_and_the_contacts_of_the_others_keep_their_impulses(
             pile.with_bodies(remove=wrong)
 
 
-def test_a_pile_rests_on_when_a_circle_is_added(pile):
-    run = dc.simulate(pile.with_bodies(add=dc.make_bodies([[10.0, 10.0]])), steps=30, solver=dc.PGS())
-    assert np.abs(run.state.bodies.position[:3] - pile.bodies.position[:3]).max() < 0.002
-
-
 def test_contacts_are_found_and_nothing_is_solved(pile):
     # `simulate(state, steps=0)`, which was called the way to find them, solved 2,000 sweeps into them.
     found = dc.find_contacts(pile.replace(contacts=None))

@@ -5,6 +5,8 @@ import os
 import numpy as np
 import pytest
 from conftest import solved_states
+from matplotlib import animation, colormaps
+from PIL import Image
 
 import deep_contact as dc
 from deep_contact.physics.metrics import kinetic_energy
@@ -52,9 +54,6 @@ def test_a_file_gives_the_same_run(run, tmp_path):
 
 
 def test_a_film_shows_circles_where_they_are_in_the_colour_of_their_speed(tmp_path):
-    from matplotlib import colormaps
-    from PIL import Image
-
     scene = dc.circles_in_box(12, size=10, radius=(0.5, 0.9), seed=0)
     run = dc.simulate(scene, steps=8, record=2).trajectory  # before anything touches
     assert not run.impulses.any()
@@ -73,8 +72,6 @@ def test_a_film_shows_circles_where_they_are_in_the_colour_of_their_speed(tmp_pa
 
 @pytest.mark.skipif(os.name != "posix", reason="a program by a shell script")
 def test_an_mp4_gets_the_pictures_or_says_that_ffmpeg_is_missing(run, tmp_path, monkeypatch):
-    from matplotlib import animation
-
     with pytest.raises(ValueError, match="path: expected"):
         run.film(tmp_path / "fall.avi")
     (tmp_path / "ffmpeg").write_text('#!/bin/sh\nfor last; do :; done\ncat > "$last"\n')  # keeps the raw pictures

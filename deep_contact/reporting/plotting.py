@@ -53,8 +53,8 @@ START_STYLE = {
 }
 """Name of a start -> keywords for `ax.plot`, the same in every figure."""
 
-NESTEROV, SHARING = "#8C564B", "#17BECF"
-"""Colours of a method and of a way back from the grid that are drawn beside starts."""
+SHARING = "#17BECF"
+"""Colour of a way back from the grid that is drawn beside starts."""
 
 ENGINE_MARKER = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
 """Other engine -> marker, in grey."""

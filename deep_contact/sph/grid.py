@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.sph.kernels import as_floats, check_support_radius, kernel_number, profile
-from deep_contact.validation import expect, integer, one_of, refuse_where, several
+from deep_contact.validation import expect, integer, number, one_of, refuse_where, several
 
 ROUNDING = 1e-9
 """In spacings: a point that lies beyond the last node by no more is taken to lie on it, and an extent that exceeds a
@@ -364,9 +364,8 @@ def gather(
 
 
 def _spacing(lengths):
-    spacing = several("spacing", (lengths,) * 2 if np.ndim(lengths) == 0 else lengths, 2)
-    expect(min(spacing) > 0, f"spacing: expected numbers > 0, got {lengths}")
-    return spacing
+    both = (lengths,) * 2 if np.ndim(lengths) == 0 else lengths
+    return several("spacing", both, 2, check=partial(number, above=0), expected="finite numbers > 0")
 
 
 def image_of(grid: Grid, pixels) -> np.ndarray:

@@ -6,20 +6,19 @@ import numpy as np
 
 from deep_contact.sph import kernels
 from deep_contact.sph.grid import Grid, image_of, positions
-from deep_contact.validation import expect, one_of, refuse_where
+from deep_contact.validation import expect, refuse_where
 
 
-def splat_by_tree(grid: Grid, position, values, *, h: float, kernel="poly6", normalization="raw") -> np.ndarray:
-    """Particles to image, shape (n_y, n_x, c): for every node its neighbours, then Σ_k W S_k (Algorithms 2 and 3).
+def splat_by_tree(grid: Grid, position, values, *, h: float, kernel="poly6") -> np.ndarray:
+    """Particles to image, shape (n_y, n_x, c): for every node its neighbours, then Σ_k w S_k (Algorithms 2 and 3).
 
-    position: (k, 2), m. values: (k, c). normalization: "raw", or "particle" (Appendix A: the weights of a particle sum
-    to one). A particle with no node within h adds nothing. Raises ValueError for an unknown kernel, h or normalization.
+    position: (k, 2), m. values: (k, c). The weights of a particle sum to one (Appendix A); one with no node within h
+    adds nothing. Raises ValueError for an unknown kernel or h.
     """
     from scipy.spatial import cKDTree
 
     h = kernels.check_support_radius(h)
     kernels.kernel_number(kernel)
-    one_of("normalization", normalization, ("raw", "particle"))
     position, values = np.asarray(position, dtype=np.float64), np.asarray(values, dtype=np.float64)
     nodes = _nodes(grid)
     tree = cKDTree(position)
@@ -34,10 +33,9 @@ def splat_by_tree(grid: Grid, position, values, *, h: float, kernel="poly6", nor
     image = np.zeros((len(nodes), values.shape[1]))
     for node, w in weights.items():
         particles = near[node]
-        if normalization == "particle":
-            # A neighbour at exactly r = h has no weight, and may have no other node either.
-            w = np.divide(w, total[particles], out=np.zeros_like(w), where=total[particles] > 0)
-        image[node] = w @ values[particles]
+        # A neighbour at exactly r = h has no weight, and may have no other node either.
+        share = np.divide(w, total[particles], out=np.zeros_like(w), where=total[particles] > 0)
+        image[node] = share @ values[particles]
     return image.reshape(*grid.shape, -1)
 
 

@@ -249,7 +249,5 @@ def time_by_tree(state: State, *, repeats: int) -> float:
 
     spec, bodies = ImageSpec(), state.bodies
     values = np.column_stack([bodies.mass, bodies.velocity, bodies.spin])
-    splat = partial(
-        splat_by_tree, spec.grid(state.world), bodies.position, values, h=spec.support, normalization="particle"
-    )
+    splat = partial(splat_by_tree, spec.grid(state.world), bodies.position, values, h=spec.support)
     return timing.interleaved({"": splat}, repeats=repeats, **CLOCK)[""]

@@ -76,13 +76,9 @@ def test_bad_text_says_where(tmp_path, old, new, message):
     assert str(path) in str(error.value)
 
 
-def test_what_gzip_packs_is_refused_beyond_the_limit_and_where_it_is_damaged(tmp_path):
+def test_what_gzip_packs_is_refused_beyond_the_limit(tmp_path):
+    """In one member; `test_state_xml` has many, and damaged ones."""
     path = tmp_path / "zeros.dat"
     path.write_bytes(gzip.compress(bytes(MAX_TEXT + 1), compresslevel=1))
     with pytest.raises(ValueError, match=f"zeros.dat: .* expected at most {MAX_TEXT} bytes"):
-        read_problem(path)
-    damaged = bytearray(gzip.compress(TEXT.encode()))
-    damaged[-6] ^= 1
-    path.write_bytes(damaged)
-    with pytest.raises(ValueError, match=r"zeros.dat: expected gzip data, whole and undamaged"):
         read_problem(path)

@@ -95,15 +95,6 @@ def test_what_is_no_array_of_this_file_is_refused(path, kind):
         read(path)
 
 
-def test_groups_that_hold_themselves_are_refused(path):
-    with h5py.File(path, "r+") as file:
-        file["a/again"] = file["a"]
-        with pytest.raises(ValueError, match="/a/again: expected every object once"):
-            hdf5.datasets(file)
-        del file["a/again"]
-        assert list(hdf5.datasets(file)) == ["a/x"]
-
-
 def test_a_file_that_is_damaged_or_cut_off_is_refused_by_name(path):
     change(path, "a/x", np.arange(4.0), chunks=(4,), fletcher32=True)
     with h5py.File(path, "r") as file:

@@ -60,7 +60,5 @@ def test_the_image_of_motion_keeps_what_sums_keep_and_energy_where_no_node_is_sh
     assert max(apart["mass and momentum"], mixed["mass and momentum"], apart["energy"]) < 1e-12
     assert 1e-9 < apart["angular momentum"] < 0.01
     assert mixed["energy"] > 1e-3
-
-
-def test_the_image_of_circles_at_rest_loses_nothing():
+    # At rest nothing is lost.
     assert max(starts.motion_loss([dc.circles_in_box(5, seed=0)], Sph(spacing=0.5)).values()) < 1e-12
