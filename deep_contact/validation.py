@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import reprlib
 from collections.abc import Collection
 from numbers import Integral, Real
 
@@ -58,6 +59,19 @@ def several(name: str, values, count: int, *, check=number, expected: str = "fin
         checked = ()
     expect(len(checked) == count, f"{name}: expected {count} {expected}, got {values!r}")
     return checked
+
+
+def floats(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
+    """`value` as a new float64 array of finite numbers of this shape; complex ones are refused, as NumPy cuts them."""
+    try:
+        array = np.array(value, dtype=np.float64, order="C") if not np.iscomplexobj(value) else None
+    except (ValueError, TypeError, OverflowError):
+        array = None
+    if value is None or array is None or array.shape != shape:
+        got = reprlib.repr(value) if value is None or array is None else f"shape {array.shape}"
+        raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {got}")
+    refuse_where(~np.isfinite(array), name, array, "a finite number")
+    return array
 
 
 def flag(name: str, value) -> bool:

@@ -15,8 +15,8 @@ import numpy as np
 from scipy import sparse
 
 from deep_contact.io.files import read_bytes
-from deep_contact.physics.lcp import ContactProblem, check_problem, finite
-from deep_contact.validation import expect
+from deep_contact.physics.lcp import ContactProblem, check_problem
+from deep_contact.validation import expect, floats
 
 MAX_TEXT = 2**26
 """Bytes of the largest file, unpacked: 80,000 contacts."""
@@ -89,4 +89,4 @@ def _numbers(lines: list[str], count: int) -> np.ndarray:
         numbers = np.array(words, np.float64)
     except ValueError as error:
         raise ValueError(f"W, q and μ: expected numbers: {str(error)[:80]}") from None
-    return finite("W, q and μ", numbers, (count,))
+    return floats("W, q and μ", numbers, (count,))

@@ -30,14 +30,14 @@ from deep_contact.physics import metrics
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, solve, step_problem
-from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, finite, natural_residual
+from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, natural_residual
 from deep_contact.physics.matrix_solvers import Blocks, blocks_of, solve_problem, sweep, velocities
 from deep_contact.physics.proximal_path import OPEN, SLIP_DOWN, SLIP_UP, STICK, follow
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.support import supported
 from deep_contact.state import LARGEST_START, State
 from deep_contact.state.checks import check_limits, check_state
-from deep_contact.validation import expect, integer, number
+from deep_contact.validation import expect, floats, integer, number
 
 FIRST_EPSILON, LEAST_EPSILON, LARGEST_EPSILON = 1e-4, 1e-6, 0.1
 """ε to start with, and its bounds. A drift of λ costs a residual of ε times it, so ε has to be small; but a pivot
@@ -196,7 +196,7 @@ def _start_of(problem: ContactProblem, normal, tangent) -> np.ndarray:
     """The impulses in the cone, (2 m,)."""
     start = []
     for name, value in (("normal_start", normal), ("tangent_start", tangent)):
-        start.append(finite(name, value, problem.friction.shape))
+        start.append(floats(name, value, problem.friction.shape))
         largest = np.abs(start[-1]).max(initial=0.0)
         expect(largest <= LARGEST_START, f"{name}: expected numbers up to {LARGEST_START:g} N·s, got {largest:g}")
     return np.column_stack(projected(*start, problem.friction)).ravel()

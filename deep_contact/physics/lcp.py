@@ -16,7 +16,7 @@ from scipy import sparse
 from deep_contact.physics.engine import after_impacts
 from deep_contact.physics.segments import segments_of, surface_velocities
 from deep_contact.state import State
-from deep_contact.validation import expect, refuse_where
+from deep_contact.validation import expect, floats, refuse_where
 
 
 class ContactProblem(NamedTuple):
@@ -48,7 +48,7 @@ def check_problem(problem: ContactProblem) -> ContactProblem:
     size = A.shape[0]
     if A.shape != (size, size) or size % 2:
         raise ValueError(f"A: expected a square matrix with two rows a contact, got shape {A.shape}")
-    b, friction = finite("b", problem.b, (size,)), finite("friction", problem.friction, (size // 2,))
+    b, friction = floats("b", problem.b, (size,)), floats("friction", problem.friction, (size // 2,))
     if not np.isfinite(A.data).all():
         raise ValueError(f"A: expected finite entries, got {A.data[~np.isfinite(A.data)][0]}")
     diagonal = A.diagonal()
@@ -62,24 +62,11 @@ def check_problem(problem: ContactProblem) -> ContactProblem:
     columns = jacobian.shape[1]
     if jacobian.shape[0] != size or columns % 3:
         raise ValueError(f"jacobian: expected {size} rows and three columns a body, got shape {jacobian.shape}")
-    inverse_mass = finite("inverse_mass", problem.inverse_mass, (columns,))
+    inverse_mass = floats("inverse_mass", problem.inverse_mass, (columns,))
     least = inverse_mass.min(initial=0.0)
     expect(least >= 0, f"inverse_mass: expected numbers >= 0, got {least}")
-    free_velocity = finite("free_velocity", problem.free_velocity, (columns,))
+    free_velocity = floats("free_velocity", problem.free_velocity, (columns,))
     return ContactProblem(A, b, jacobian, inverse_mass, free_velocity, friction)
-
-
-def finite(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
-    """The value as a float64 array of finite numbers of this shape. Raises ValueError."""
-    try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {value!r}") from None
-    if array.shape != shape:
-        got = "None" if value is None else f"shape {array.shape}"
-        raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {got}")
-    refuse_where(~np.isfinite(array), name, array, "a finite number")
-    return array
 
 
 def natural_residual(problem: ContactProblem, impulse: np.ndarray) -> float:

@@ -16,9 +16,9 @@ from scipy import sparse
 
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record, is_over
-from deep_contact.physics.lcp import ContactProblem, _cone_distance, check_problem, finite
+from deep_contact.physics.lcp import ContactProblem, _cone_distance, check_problem
 from deep_contact.physics.solvers import PGS, NesterovPGS, nesterov
-from deep_contact.validation import expect, integer, number
+from deep_contact.validation import expect, floats, integer, number
 
 CHECK_EVERY = 10
 """Sweeps between two looks at Siconos's error."""
@@ -64,7 +64,7 @@ def solve_problem(
     fits = type(solver) in (PGS, NesterovPGS) and not solver.islands
     expect(fits, f"solver: expected one of PGS, NesterovPGS, without islands, got {solver!r}")
     problem = check_problem(problem)
-    impulse = np.zeros(problem.b.size) if start is None else finite("start", start, problem.b.shape)
+    impulse = np.zeros(problem.b.size) if start is None else floats("start", start, problem.b.shape)
     tolerance = -1.0 if solver.tolerance is None else number("tolerance", solver.tolerance, low=0)
     error = -1.0 if error is None else number("error", error, above=0)
     theta = np.empty(integer("sweeps", solver.sweeps))

@@ -12,7 +12,7 @@ import numpy as np
 
 from deep_contact.state import LIMITS, Bodies, Contacts, State, World
 from deep_contact.state.scales import ContactScales
-from deep_contact.validation import expect, flag, integer, number, refuse_where, several
+from deep_contact.validation import expect, flag, floats, integer, number, refuse_where, several
 
 UNIT = 1e-4
 """Largest deviation of the length of a normal from 1."""
@@ -235,12 +235,4 @@ def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
         fits = index.shape == shape and (np.issubdtype(index.dtype, np.integer) or index.size == 0)
         expect(fits, f"{owner}.{name}: expected integers of shape {shape}, got {index.dtype}, {index.shape}")
         return index.astype(np.int64)
-    try:
-        if np.iscomplexobj(value):
-            raise TypeError("complex")  # which NumPy would cut
-        array = np.array(value, dtype=np.float64, order="C")
-    except (ValueError, TypeError, OverflowError):
-        raise ValueError(f"{owner}.{name}: expected numbers of shape {shape}, got {reprlib.repr(value)}") from None
-    expect(array.shape == shape, f"{owner}.{name}: expected shape {shape}, got {array.shape}")
-    refuse_where(~np.isfinite(array), f"{owner}.{name}", array, "a finite number")
-    return array
+    return floats(f"{owner}.{name}", value, shape)
