@@ -51,17 +51,12 @@ FRAMES = 120
 FEWEST_SEEDS = 3
 """Seeds below which a budget drops settings first."""
 
-SHIFT = 1e-3
-"""Largest shift of a coordinate of a copy of a state, in slops."""
+SHIFT, APART = 1e-3, 0.01
+"""Largest shift of a coordinate of a copy of a state, in slops, and root mean square distance, in radii, from which
+copies count as no longer together."""
 
-APART = 0.01
-"""Root mean square distance, in radii, from which copies count as no longer together."""
-
-TIMED = 2
-"""Seeds whose runs are timed, each in one go."""
-
-LONG_ENOUGH = 0.02
-"""Runs are timed once if they take so long, s."""
+TIMED, LONG_ENOUGH = 2, 0.02
+"""Seeds whose runs are timed, each in one go, and time of a run, s, from which once is enough."""
 
 WARM = 5
 """Steps of a run before its time counts: the first ones load code, fill an engine's memory and find all contacts."""

@@ -27,6 +27,7 @@ from deep_contact.presets import TABLE
 from deep_contact.reporting import figures, results
 from deep_contact.studies import runs
 from deep_contact.studies.parts import done
+from deep_contact.validation import expect
 
 
 def settings(budgets: dict, **options) -> list[dict]:
@@ -210,12 +211,18 @@ def wanted(options: dict) -> dict[tuple[str, int, str], tuple[dict, int]]:
     return cases_by_name
 
 
-def plan(options: dict, seed: int, known: Mapping) -> tuple[list, dict]:
-    """The observations as (name, arguments), the quick ones first, and the known rows that need none.
+def plan(options: dict, seed: int, before: Mapping | None) -> tuple[list, dict]:
+    """The observations as (name, arguments), the quick ones first, and (kind, n_bodies, name) -> row that needs none.
 
-    known: rows by (kind, n_bodies, name). Those of fewer seeds are observed again, and the reference beside them.
+    before: results whose rows are known. Those of fewer seeds are observed again, and the reference beside them. Raises
+    ValueError where it has other options.
     """
-    cases = wanted(options)
+    cases, known = wanted(options), {}
+    if before is not None:
+        of = before["options"] | {"seed": before["provenance"]["seed"]}
+        for name, mine in {"sizes": options["sizes"], "seconds": options["seconds"], "seed": seed}.items():
+            expect(of[name] == mine, f"{name}: expected {mine} in the results, got {of[name]}")
+        known = {(row["kind"], row["n_bodies"], row["name"]): row for row in before["data"]["rows"]}
     kept = {key: known[key] for key, (_, count) in cases.items() if key in known and known[key]["seeds"] >= count}
     renewed = {key[:2] for key in cases.keys() - kept.keys()}
     kept = {key: row for key, row in kept.items() if key[2] != LIMIT or key[:2] not in renewed}
@@ -228,21 +235,11 @@ def plan(options: dict, seed: int, known: Mapping) -> tuple[list, dict]:
     return sorted(seen, key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"]), kept
 
 
-def known_rows(file: Mapping, options: dict, seed: int) -> dict:
-    """Rows of a results file by (kind, n_bodies, name). Raises ValueError on other options."""
-    for key in ("sizes", "seconds"):
-        if file["options"][key] != options[key]:
-            raise ValueError(f"{key}: expected {options[key]} in the results, got {file['options'][key]}")
-    if file["provenance"]["seed"] != seed:
-        raise ValueError(f"seed: expected {seed} in the results, got {file['provenance']['seed']}")
-    return {(row["kind"], row["n_bodies"], row["name"]): row for row in file["data"]["rows"]}
-
-
 def study(
     options: dict, before: Mapping | None = None, *, seed: int, jobs: int, work: Path, errors_only: bool
 ) -> dict | None:
     """The data of the results file. before: one whose errors are taken over; times are measured anew."""
-    seen, rows = plan(options, seed, known_rows(before, options, seed) if before else {})
+    seen, rows = plan(options, seed, before)
     observed = done(seen, FUNCTIONS, work=work, jobs=jobs, text="errors")
     if errors_only:
         return None
