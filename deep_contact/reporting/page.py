@@ -31,12 +31,9 @@ def write_report(
     """Write `index.html` into a folder of results files; its path.
 
     captions: id ("3.7", "T 5.1") -> text under the picture. expected: ids that should be there, whose absence is a
-    fault, as is a results file that cannot be read. Raises FileNotFoundError if the folder does not exist.
+    fault, as is a results file that cannot be read.
     """
-    folder = Path(folder)
-    if not folder.is_dir():
-        raise FileNotFoundError(f"folder of results: {folder} does not exist")
-    entries, faults, captions = [], [], captions or {}
+    folder, entries, faults, captions = Path(folder), [], [], captions or {}
     for path in sorted(folder.glob("*.json")):
         if re.fullmatch(r"(figure|table)_[0-9A-Z]+_[0-9]+\.json", path.name):
             try:
