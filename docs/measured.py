@@ -311,11 +311,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         (
             "natively (version 3.2.0, not yet released, gcc 12.2, -O3 -mavx2) it takes {:.2f} to {:.2f} of its package's time, "
             "version 3.1.1, which the package has, {:.2f} to {:.2f}. With the former the range is {:.1f} to {:.1f}",
-            lambda: [
-                *spread(native_share("head-avx2")),
-                *spread(native_share("v3.1.1-avx2")),
-                *rivals_with_native(),
-            ],
+            lambda: [*spread(native_share("head-avx2")), *spread(native_share("v3.1.1-avx2")), *rivals_with_native()],
         ),
         (
             "Mass ratios of {:g}, columns of {:,.0f} circles and coordinates of {:g} m are safe",
@@ -427,9 +423,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "θ at most half of Builtin's, it has at sweeps {} to {}, or {} to {} by spline (Figure 5.7)",
             lambda: [
                 *sweeps("figure_5_7", "bilinear (printed), gets convergence much faster than Builtin")[:2],
-                *sweeps("figure_5_7", "spline (authors' code), gets convergence much faster than Builtin")[
-                    :2
-                ],
+                *sweeps("figure_5_7", "spline (authors' code), gets convergence much faster than Builtin")[:2],
             ],
         ),
         (
