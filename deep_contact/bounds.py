@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from highspy import Highs, HighsLp, HighsModelStatus, MatrixFormat
+from highspy import Highs, HighsModelStatus
 from scipy import sparse
 
 from deep_contact import parallel
@@ -92,7 +92,7 @@ def force_bounds(
     rows, values, errors = _measured(state, loads or {})
     unit, total = state.dt / scale, sums @ impulse.ravel() / scale
     program = Program(
-        sparse.csc_array(sparse.vstack([sums, sparse.csr_array(rows.reshape(len(rows), 2 * m))]) @ edges),
+        sparse.csr_array(sparse.vstack([sums, sparse.csr_array(rows.reshape(len(rows), 2 * m))]) @ edges),
         np.append(total, unit * (values - errors)),
         np.append(total, unit * (values + errors)),
     )
@@ -131,22 +131,18 @@ def _measured(state: StateWithContacts, loads: Mapping) -> tuple[np.ndarray, np.
 class Program(NamedTuple):
     """Linear programs x >= 0, lower <= A x <= upper that differ in their costs."""
 
-    matrix: sparse.csc_array
+    matrix: sparse.csr_array
     lower: np.ndarray
     upper: np.ndarray
 
 
 def _highs(program: Program) -> Highs:
     """The program without a cost, solved. From its solution, or that for another cost, primal simplex goes on."""
-    highs, lp, A = Highs(), HighsLp(), program.matrix
+    highs, A = Highs(), program.matrix
     for option, value in OPTIONS.items():
         highs.setOptionValue(option, value)
-    lp.num_row_, lp.num_col_ = A.shape
-    lp.col_cost_, lp.col_lower_, lp.col_upper_ = np.zeros(A.shape[1]), np.zeros(A.shape[1]), np.full(A.shape[1], np.inf)
-    lp.row_lower_, lp.row_upper_ = program.lower, program.upper
-    lp.a_matrix_.format_ = MatrixFormat.kColwise
-    lp.a_matrix_.start_, lp.a_matrix_.index_, lp.a_matrix_.value_ = A.indptr, A.indices, A.data
-    highs.passModel(lp)
+    highs.addVars(A.shape[1], np.zeros(A.shape[1]), np.full(A.shape[1], np.inf))
+    highs.addRows(A.shape[0], program.lower, program.upper, A.nnz, A.indptr, A.indices, A.data)
     highs.run()
     return highs
 
