@@ -85,12 +85,12 @@ class Store:
             pairs.append(np.stack([np.full_like(index, sim), index], axis=1))
         return np.concatenate(pairs)
 
-    def data_hash(self, sims=None) -> str:
-        """SHA-256 over the numbers and digests of some simulations (all by default), whatever their compression.
+    def data_hash(self) -> str:
+        """SHA-256 over the numbers and digests of the simulations, whatever their compression.
 
         The digests are those in the files; each is checked against the contents when the simulation is read.
         """
-        lines = (f"{sim} {self.info(sim).digest}\n" for sim in (self.simulations if sims is None else sims))
+        lines = (f"{sim} {self.info(sim).digest}\n" for sim in self.simulations)
         return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import suppress
 from pathlib import Path
 
 from deep_contact.reporting import figures, results
@@ -17,8 +18,8 @@ def done(
     """The results of parts (name, arguments), in their order: read from `work`, or computed and stored there.
 
     functions: name -> function of the arguments, found by import, whose result JSON can hold. A part with other
-    arguments is another part. One that JSON cannot read is computed again. jobs: as in `parallel.finished`; each process
-    stores its parts. text: of the progress bar.
+    arguments is another part. One that JSON cannot read is computed again. jobs: as in `parallel.finished`; a process
+    stores its own parts. text: of the progress bar.
     """
     work.mkdir(parents=True, exist_ok=True)
     tasks = [
@@ -35,9 +36,8 @@ def digest_of(value) -> str:
 
 def _done(task: tuple[Callable, dict, Path]):
     function, arguments, path = task
-    try:
+    with suppress(FileNotFoundError, ValueError):
         return json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, ValueError):
-        result = results.plain(function(**arguments))
-        results.write_json(path, result)
-        return result
+    result = results.plain(function(**arguments))
+    results.write_json(path, result)
+    return result

@@ -33,7 +33,6 @@ class TrainingConfig:
     batch_size: int = 32
     states_per_epoch: int | None = None  # drawn for an epoch; None: all
     validation_states: int = 1000  # about so many
-    simulations: int | None = None  # only the first so many
     fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)  # of the simulations: train, validation, test
     seed: int = 0
 
@@ -41,8 +40,8 @@ class TrainingConfig:
         one_of("architecture", self.architecture, CONFIGS)
         one_of("optimizer", self.optimizer, ("sgd", "adam"))
         one_of("schedule", self.schedule, SCHEDULES)
-        for name in ("epochs", "batch_size", "validation_states", "states_per_epoch", "simulations"):
-            if getattr(self, name) is not None or name not in ("states_per_epoch", "simulations"):
+        for name in ("epochs", "batch_size", "validation_states", "states_per_epoch"):
+            if getattr(self, name) is not None or name != "states_per_epoch":
                 integer(name, getattr(self, name), 1)
         number("rate", self.rate, above=0)
         sweeps = tuple(self.sweeps)

@@ -75,9 +75,8 @@ def train(
         limit_threads(threads)
     tensorflow.config.experimental.enable_op_determinism()
     keras.utils.set_random_seed(config.seed)
-    sims = store.simulations[: config.simulations]
-    split = split_by_simulation(sims, fractions=config.fractions, seed=config.seed)
-    settings = asdict(config) | {"data": store.data_hash(sims)}
+    split = split_by_simulation(store.simulations, fractions=config.fractions, seed=config.seed)
+    settings = asdict(config) | {"data": store.data_hash()}
     settings["from_model"] = None if from_model is None else read_metadata(from_model)["digest"]
     initial = None if from_model is None else load_model(from_model)
     if initial and initial.spec != config.spec():
