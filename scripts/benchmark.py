@@ -301,20 +301,20 @@ def main(arguments=None) -> None:
     if min([*args.sizes, args.repeats]) < 1:
         parser.error(f"expected sizes and repeats of at least 1, got {args.sizes} and {args.repeats}")
     args.out = args.out or Path(f"build/results/benchmark_{args.name}.json")
-    begin = time.perf_counter()
-    made, write = run(args), write_json
+    begun = time.perf_counter()
+    data = run(args)
+    made = {"provenance": results.provenance(seed=args.seed, wall_s=time.perf_counter() - begun)}
     if args.name in TITLES:
         options = {name: getattr(args, name) for name in ("sizes", "repeats", "quick")}
         options |= {"sweeps": [FEW, MANY], "dt": TIME_STEP, "position_sweeps": POSITION_SWEEPS}
-        about = {"id": f"B.{1 + list(TITLES).index(args.name)}", "title": TITLES[args.name], "options": options}
         if args.name == "engine":
             options["peers"] = {name: metadata.version(adapter.package) for name, adapter in peers.ENGINES.items()}
-        made, write = (
-            about | {"claims": list(claims(made.get("cases", [])))} | {"data": made},
-            results.write_results,
-        )
-    made.setdefault("provenance", results.provenance(seed=args.seed, wall_s=time.perf_counter() - begin))
-    print(f"written: {write(args.out, made) or args.out}")
+        made |= {"id": f"B.{1 + list(TITLES).index(args.name)}", "title": TITLES[args.name], "options": options}
+        made |= {"claims": list(claims(data.get("cases", []))), "data": data}
+        results.write_results(args.out, made)
+    else:
+        write_json(args.out, made | data)  # of a file that is added to, the provenance of the first run
+    print(f"written: {args.out}")
 
 
 if __name__ == "__main__":

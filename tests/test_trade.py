@@ -29,8 +29,6 @@ def velocity_down(state):
 
 ROLLING, SLIDING = 2 / 3 * G * math.sin(SLOPE), G * (math.sin(SLOPE) - 0.05 * math.cos(SLOPE))
 KNOWN = {
-    "free fall": (lambda: dc.single_body(height=25.0), lambda s: s.bodies.position[0, 1],
-                  lambda t: 26 + WALL_SKIN - 0.5 * G * t**2),
     "rolling": (lambda: on_slope(0.5), velocity_down, lambda t: ROLLING * t),
     "sliding": (lambda: on_slope(0.05), velocity_down, lambda t: SLIDING * t),
     "two circles": (lambda: dc.two_bodies(speed=4.0, restitution=0.5), lambda s: np.diff(s.bodies.velocity[:, 0])[0],

@@ -18,6 +18,7 @@ from deep_contact.studies.parts import done
 from deep_contact.trade import name_of
 
 COARSE = {"method": "PGS", "sweeps": 3, "dt": TIME_STEP}
+FINE, PEER = COARSE | {"dt": TIME_STEP / 2}, {"engine": "pymunk", "sweeps": 4, "dt": TIME_STEP}
 
 
 def observed(kind, n_bodies, seed, setting, seconds):
@@ -52,10 +53,9 @@ def row(setting, us, error, kind="plain"):
 
 
 def test_the_cheapest_setting_that_keeps_a_preset_is_chosen_for_each_kind():
-    fine, peer = COARSE | {"dt": TIME_STEP / 2}, {"engine": "pymunk", "sweeps": 4, "dt": TIME_STEP}
-    rows = [row(COARSE, 1.0, 0.0), row(COARSE, 1.0, 1e3, "mixed radii"), row(peer, 12.0, 0.0)]
-    rows += [row(fine, us, 0.0, kind) for kind, us in (("plain", 2.0), ("mixed radii", 3.0))]
-    found = next(one for one in runs.presets(rows) if one["preset"] == "preview")
+    rows = [row(COARSE, 1.0, 0.0), row(COARSE, 1.0, 1e3, "mixed radii"), row(PEER, 12.0, 0.0)]
+    rows += [row(FINE, us, 0.0, kind) for kind, us in (("plain", 2.0), ("mixed radii", 3.0))]
+    found = runs.presets(rows)[0]
     assert {kind: best["us"] for kind, best in found["kinds"].items()} == {"plain": 1.0, "mixed radii": 3.0}
     assert found["peers"]["pymunk"]["us"] == 12.0
     assert found["peers"]["Box2D v3"] is None
@@ -63,23 +63,20 @@ def test_the_cheapest_setting_that_keeps_a_preset_is_chosen_for_each_kind():
 
 
 def test_the_ratio_to_rivals_has_the_ends_of_the_errors():
-    dear, peer = COARSE | {"dt": TIME_STEP / 2}, {"engine": "pymunk", "sweeps": 4, "dt": TIME_STEP}
-    dear_peer = peer | {"sweeps": 10}
     # The cheap ones keep the preset but for the upper end of their intervals.
-    rows = [row(COARSE, 1.0, 0.0), row(dear, 2.0, 0.0), row(peer, 12.0, 0.0), row(dear_peer, 36.0, 0.0)]
+    costs = ((COARSE, 1.0), (FINE, 2.0), (PEER, 12.0), (PEER | {"sweeps": 10}, 36.0))
+    rows = [row(setting, us, 0.0) for setting, us in costs]
     for one in (rows[0], rows[2]):
         one["errors"]["energy"] = (0.0, 0.0, 1e3)
-    found = next(one for one in runs.presets(rows) if one["preset"] == "preview")
-    assert found["ratio"] == pytest.approx([12.0, 6.0, 36.0])
+    assert runs.presets(rows)[0]["ratio"] == pytest.approx([12.0, 6.0, 36.0])
 
 
 def test_the_ratio_holds_the_times_of_all_processes_and_ours_leaves_a_margin():
-    peer, dear = {"engine": "pymunk", "sweeps": 4, "dt": TIME_STEP}, COARSE | {"dt": TIME_STEP / 2}
-    rows = [row(COARSE, 1.0, 0.0), row(dear, 2.0, 0.0), row(peer, 12.0, 0.0)]
+    rows = [row(COARSE, 1.0, 0.0), row(FINE, 2.0, 0.0), row(PEER, 12.0, 0.0)]
     rows[2]["times"] = [10.0, 12.0, 15.0]
     for one in (rows[0], rows[2]):
         one["errors"] = {name: [0.9 * most] * 3 for name, most in PRESETS["preview"].items()}  # within, by no margin
-    found = next(one for one in runs.presets(rows) if one["preset"] == "preview")
+    found = runs.presets(rows)[0]
     assert found["kinds"]["plain"]["us"] == 2.0  # what `simulate(accuracy=…)` takes
     assert found["peers"]["pymunk"]["us"] == 12.0
     assert found["ratio"] == pytest.approx([5.4545, 5.0, 16.667], rel=1e-4)  # 1.0 keeps it at the ends, by no margin
@@ -152,14 +149,8 @@ def test_fewer_seeds_than_the_reference_meet_its_runs_of_the_same_scenes(tmp_pat
 
     def run(kind, n_bodies, seed, setting, seconds):
         seen = {name: np.full(30, 1.0 + seed % 1000) for name in ("kinetic", "height", "speed", "contacts")}
-        seen |= {
-            "penetration": np.zeros((30, 3)),
-            "force": np.ones(29),
-            "loads": None,
-            "interval": 0.1,
-            "quantities": {},
-        }
-        return results.plain(seen)
+        seen |= {"penetration": np.zeros((30, 3)), "force": np.ones(29), "loads": None, "interval": 0.1}
+        return results.plain(seen | {"quantities": {}})
 
     monkeypatch.setattr(script, "FUNCTIONS", {"observed": run, "timed": lambda **_: 7.0})
     more = {"settings": {"20": []}, "seeds": {"20": {"plain": 9}}}
