@@ -417,7 +417,7 @@ def find_contacts(position, radius, box, segments, skin, cells, buffer):
     return contacts_at(position, radius, box, segments, skin, cells, buffer, 0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def contacts_at(position, radius, box, segments, skin, cells, buffer, least):
     """`find_contacts` after `refresh_list` at these positions. least: see `write_geometry`."""
     while True:
@@ -568,7 +568,7 @@ def hold(bodies, before, box, segments, skin, solved):
             hold_beside(bodies, before, segments)
 
 
-@njit(cache=True)
+@njit(inline="always")
 def next_contacts(bodies, before, box, segments, skin, cells, solved, warm, buffer):
     """Contacts of the step after the one that `solved` those given, found where the bodies are now.
 

@@ -24,7 +24,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.constants import MAX_ROTATION
-from deep_contact.physics.continuous import FAST, stop_fast
+from deep_contact.physics.continuous import FAST, moved, stop_fast
 from deep_contact.physics.segments import surface_velocity
 
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
@@ -257,10 +257,10 @@ def any_fast(solver_bodies, radius, dt):
     return fast
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def stop_fast_circles(bodies, step):
     """Take back, in place, the way of circles that went fast by what they touched on it (`continuous`)."""
-    start = bodies.position - step.dt * bodies.velocity
+    start = moved(bodies.position, bodies.velocity, -step.dt)
     stop_fast(bodies, start, step.gravity, step.dt, step.box, step.segments, step.scales)
 
 
@@ -289,7 +289,8 @@ def cut_motion(velocity, spin, dt, max_translation):
     for i in range(spin.shape[0]):
         distance, angle = dt * math.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2), abs(dt * spin[i])
         if distance > max_translation:
-            velocity[i] *= max_translation / distance
+            velocity[i, 0] *= max_translation / distance
+            velocity[i, 1] *= max_translation / distance
         if angle > MAX_ROTATION:
             spin[i] *= MAX_ROTATION / angle
 

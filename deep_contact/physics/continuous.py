@@ -41,7 +41,7 @@ def stop_fast(bodies, start, gravity, dt, box, segments, scales):
     `StepInput`.
     """
     n = bodies.mass.shape[0]
-    move = bodies.position - start
+    move = moved(bodies.position, start, -1.0)
     if not math.isfinite(start.sum() + move.sum()):
         return  # the caller of the run says so
     fast = np.empty(n, np.bool_)
@@ -77,6 +77,16 @@ def stop_fast(bodies, start, gravity, dt, box, segments, scales):
             take_back_fall(bodies.velocity[i], (1.0 - stop[i]) * dt, gravity)
 
 
+@njit(cache=True)
+def moved(points, by, share):
+    """points + share by, (n, 2) each. A loop takes a tenth of the time that NumPy's expression takes to compile."""
+    result = np.empty_like(points)
+    for i in range(points.shape[0]):
+        for axis in range(2):
+            result[i, axis] = points[i, axis] + share * by[i, axis]
+    return result
+
+
 class Swept(NamedTuple):
     """The broad phase: boxes around the paths of circles in a step, sorted into cells by their middles."""
 
@@ -99,18 +109,21 @@ def _sort_swept(start, move, radius):
     """`Swept` of circles that start at (n, 2) and move by (n, 2), m."""
     n = radius.shape[0]
     cells = _make_cells(n)
-    middle = start + 0.5 * move
+    middle = moved(start, move, 0.5)
     cells.level[:] = 0
     sort_level(np.int64(0), middle, radius, 0.0, np.int64(0), np.int64(0), cells)
     columns, rows = int(cells.grid[0, COLUMNS]), int(cells.grid[0, ROWS])
-    box, longest = np.empty((n, 4)), np.zeros(2)
+    box, longest, largest = np.empty((n, 4)), np.zeros(2), 0.0
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)  # of the middles
     for k in range(n):
         i = cells.order[k]
         for axis in range(2):
             x, to_x = start[i, axis], start[i, axis] + move[i, axis]
             box[k, 2 * axis], box[k, 2 * axis + 1] = min(x, to_x) - radius[i], max(x, to_x) + radius[i]
             longest[axis] = max(longest[axis], box[k, 2 * axis + 1] - box[k, 2 * axis])
-    width = max(2.0 * radius.max(), np.ptp(middle[:, 0]) / columns, np.ptp(middle[:, 1]) / rows)  # of a cell, at least
+            low[axis], high[axis] = min(low[axis], middle[i, axis]), max(high[axis], middle[i, axis])
+        largest = max(largest, radius[i])
+    width = max(2.0 * largest, (high[0] - low[0]) / columns, (high[1] - low[1]) / rows)  # of a cell, at least
     aside, above = int(min(longest[0] / width, columns)) + 1, int(min(longest[1] / width, rows)) + 1
     return Swept(cells.start, cells.order, cells.cell, box, columns, rows, aside, above, np.empty(n, np.int64))
 

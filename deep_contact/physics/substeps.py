@@ -32,14 +32,14 @@ def part_of(step, parts):
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def depart(step, part, contacts):
     """Let circles in flight go on in parts of a substep, in place on their velocities. contacts: at their positions."""
     if step.restitution > 0.0:
         shift_flights(step.bodies, contacts, step.gravity, step.dt - part.dt)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def rejoin(step, part, contacts):
     """`depart` taken back, after the parts."""
     if step.restitution > 0.0:
@@ -116,8 +116,8 @@ def fastest_pair(step, cells, gap, fastest):
     elif math.isfinite(position.sum()):
         levels = sort_into_cells(position, radius, gap, cells)
         for a in range(position.shape[0]):
-            m = circles_around(a, position, radius[a] + gap, levels, cells, cells.near, 0)
-            fastest = fastest_of(step, a, cells.near, 0, m, fastest)
+            m = circles_around(a, position, radius[a] + gap, levels, cells, cells.near, np.int64(0))
+            fastest = fastest_of(step, a, cells.near, np.int64(0), m, fastest)
     return fastest
 
 
