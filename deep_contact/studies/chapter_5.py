@@ -151,7 +151,7 @@ THESIS_VISITS = 18_208 * 8 // 10 * 1000
 
 BOUND = "at rest positions leave λ_n open by ±0.74 of its mean: Figure 6.15"
 OPEN = f"open: the rebuilt network starts little better than None ({BOUND})"
-"""Verdict on what the thesis says of its network, and half of the median interval: no network can promise less."""
+"""Verdict on what the thesis says of its network, and half of the median interval, below which no network can promise."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from deep_contact.reporting.figures import parallel_map, seeds
 from deep_contact.simulation import solve_contacts
 from deep_contact.state import State
 from deep_contact.studies import piles, timing
-from deep_contact.studies.starts import solved_states, start_of
+from deep_contact.studies.starts import REFERENCE, solved_states, start_of
 from deep_contact.studies.verdicts import FEWEST, interval
 from deep_contact.warm_start import Sph, WarmStart, solved_impulses
 
@@ -81,9 +81,6 @@ def errors_of(state: State, impulses: Mapping, settings: Iterable[str], sweeps: 
 
 
 # ---- states of held-out scenes: Figure 6.8 ----
-
-REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
-"""Reference solution of velocity errors: a solution swept on, so that it favours no start."""
 
 FEW = (3, 10, 30)
 """Numbers of sweeps that the claims are about."""

@@ -37,6 +37,9 @@ THOROUGH = PGS()
 
 MODES = ("paired", "independent")
 
+REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
+"""Reference solution of velocity errors: a solution swept on, so that it favours no start."""
+
 TRANSFERS = {"sph": "thesis", "sph spline": "spline"}
 """Start -> how it reads its image (`Sph`): as Algorithm 4 prints it, and as the thesis's authors programmed it."""
 
@@ -86,13 +89,34 @@ def paired(
     starts: Mapping[str, WarmStart],
     *,
     sweeps: int,
+    velocity_sweeps: Sequence[int] = (),
 ) -> dict[str, dict[str, np.ndarray]]:
-    """`convergence_of` every start on the same states, each solved with so many sweeps."""
+    """`convergence_of` every start on the same states, each solved with so many sweeps.
+
+    With velocity_sweeps also "velocity": relative velocity errors after so many sweeps, against the solution swept on
+    by `REFERENCE`; a row a state, not finite where nothing was to be solved.
+    """
+    from deep_contact.cnn.evaluation import velocity_errors
+
     solver = PGS(sweeps=sweeps, tolerance=None)
-    return {
-        name: convergence_of([solve_contacts(one, solver=solver, start=start).record.theta for one in states], sweeps)
-        for name, start in starts.items()
-    }
+    goals = [swept_on(state) for state in states] if velocity_sweeps else []
+    by_start = {}
+    for name, start in starts.items():
+        impulses = [start(state, solver) for state in states]
+        thetas = [solve_contacts(s, solver=solver, start=impulse).record.theta for s, impulse in zip(states, impulses)]
+        by_start[name] = convergence_of(thetas, sweeps)
+        if velocity_sweeps:
+            errors = [velocity_errors(goal, impulse, velocity_sweeps) for goal, impulse in zip(goals, impulses)]
+            by_start[name]["velocity"] = np.array(errors)
+    return by_start
+
+
+def swept_on(state: State) -> State:
+    """A solved state with its solution swept on until `REFERENCE` converges."""
+    contacts = state.contacts
+    solution = solve_contacts(state, solver=REFERENCE, start=(contacts.normal_impulse, contacts.tangent_impulse))
+    better = {"normal_impulse": solution.normal_impulses, "tangent_impulse": solution.tangent_impulses}
+    return state.replace(contacts=contacts._replace(**better), solved=True)
 
 
 def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> dict[str, np.ndarray]:

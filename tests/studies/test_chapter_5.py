@@ -8,11 +8,12 @@ import pytest
 from conftest import load_script
 
 import deep_contact as dc
+from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec
 from deep_contact.reporting import figures, results
 from deep_contact.reporting.results import Claim
 from deep_contact.studies import chapter_5, learned_starts, starts
-from deep_contact.warm_start import NoStart, Sph
+from deep_contact.warm_start import Builtin, NoStart, Sph
 
 
 @pytest.fixture(scope="module")
@@ -64,6 +65,18 @@ def test_figure_5_9s_scenes_are_none_of_the_data_set():
     theirs = [np.random.default_rng(np.random.SeedSequence(0, spawn_key=(i,))).random(8) for i in range(150)]
     assert count >= 10
     assert not any(np.isin(one, other).any() for one in ours for other in theirs)
+
+
+def test_velocity_errors_beside_theta_are_those_of_each_start_alone(falling_states):
+    states, after = falling_states[3:6], [1, 10]
+    found = starts.paired(states, {"none": NoStart(), "builtin": Builtin()}, sweeps=20, velocity_sweeps=after)
+    goal = starts.swept_on(states[1])
+    again = (goal.contacts.normal_impulse, goal.contacts.tangent_impulse)
+    once = dc.solve_contacts(goal, solver=dc.PGS(sweeps=1, tolerance=None), start=again)
+    assert once.record.theta[-1] <= starts.REFERENCE.tolerance
+    right = velocity_errors(goal, Builtin()(states[1], dc.PGS()), after)
+    np.testing.assert_array_equal(found["builtin"]["velocity"][1], right)
+    assert found["none"]["velocity"].shape == (3, 2)
 
 
 def test_a_network_can_be_compared_like_any_other_start(network):
