@@ -58,6 +58,21 @@ def test_circles_that_nearly_coincide_are_said_once():
         dc.step(dc.circles_in_box(20, seed=1))
 
 
+def test_circles_outside_of_the_box_are_said_once_and_come_in():
+    scene = circles_at([[5.0, 5.0], [35.0, 5.0], [5.0, 31.0]])
+    with pytest.warns(
+        UserWarning, match=r"circle 1 lies outside of the box .*, at \(35, 5\) m \(2 circles do\)"
+    ) as said:
+        run = dc.simulate(scene, steps=1)
+    assert len(said) == 1
+    assert said[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # what is still outside in a run that goes on was said
+        x, y = dc.simulate(run.state, steps=20).state.bodies.position.T
+    assert x.max() < 30
+    assert y.max() < 30
+
+
 @pytest.mark.parametrize("options", [{}, {"warm_start": "sph"}, {"sleep": True}])
 def test_a_recorded_run_keeps_one_state_in_so_many_steps_and_the_last_and_changes_no_bit(options):
     scene = dc.circles_in_box(12, size=10.0, seed=2)

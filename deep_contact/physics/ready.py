@@ -38,6 +38,7 @@ def ready(state: State) -> StateWithContacts:
     if state.contacts is None:
         state = state.replace(contacts=contacts_of(state))
         _warn_of_coincidence(state)
+        _warn_of_outside(state)
     return state
 
 
@@ -51,6 +52,16 @@ def _warn_of_coincidence(state: StateWithContacts) -> None:
         which = f"circles {a[i]} and {b[i]} nearly coincide, their centres are {apart[i]:.3g} m apart"
         more = f" ({near.sum():,} pairs do)" if near.sum() > 1 else ""
         warnings.warn(f"bodies.position: {which}{more}; the solver pushes them apart at once", stacklevel=5)
+
+
+def _warn_of_outside(state: StateWithContacts) -> None:
+    """Warn where circles of a scene have their centres outside of the box: its walls pull them in, through others."""
+    position, box = state.bodies.position, state.world.box
+    outside = np.flatnonzero(((position < box[:2]) | (position > box[2:])).any(axis=1))
+    for i in outside[:1]:
+        where = f"circle {i} lies outside of the box {box}, at ({position[i, 0]:g}, {position[i, 1]:g}) m"
+        more = f" ({outside.size:,} circles do)" if outside.size > 1 else ""
+        warnings.warn(f"bodies.position: {where}{more}; the walls pull it in step by step", stacklevel=5)
 
 
 def has_engine_arrays(state: State) -> bool:

@@ -17,7 +17,7 @@ from deep_contact.state import LIMITS, Bodies
 from deep_contact.state.checks import check_state
 from deep_contact.studies.extremes import mechanical_energy
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*nearly coincide")
+pytestmark = pytest.mark.filterwarnings("ignore:.*(nearly coincide|outside of the box)")
 SWEEPS = dc.PGS(sweeps=15, tolerance=None)
 INELASTIC = dc.PGS(sweeps=20_000, tolerance=1e-12)
 

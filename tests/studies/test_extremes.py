@@ -19,7 +19,7 @@ from deep_contact.studies import extremes
 from deep_contact.studies.extremes import ACCURATE, DEGRADED, FAILED, REFUSED, SAFE, Trial, measure
 from deep_contact.warm_start import STARTS
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*nearly coincide")
+pytestmark = pytest.mark.filterwarnings("ignore:.*(nearly coincide|outside of the box)")
 TEN = dc.PGS(sweeps=10, tolerance=None)
 
 
