@@ -8,6 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from conftest import circles_at
 from PIL import Image
 
 import deep_contact as dc
@@ -60,6 +61,14 @@ def test_a_run_shows_how_its_solves_ended_and_a_trajectory_plays(run, monkeypatc
         film = re.search(r'src="data:image/gif;base64,(.*)"', run.trajectory._repr_html_())[1]
         with Image.open(io.BytesIO(base64.b64decode(film))) as gif:
             assert gif.n_frames == count
+
+
+def test_a_state_names_the_walls_that_are_touched():
+    """Floor: 1.01 m below two centres; the first touches the left wall as well, and one lies on a segment."""
+    state = dc.find_contacts(circles_at([[1.01, 1.01], [3.5, 1.01], [20.0, 11.01]], segments=[((18, 10), (22, 10))]))
+    assert "floor 2, left 1, segments 1" in repr(state)
+    assert "floor 2, left 1, segments 1" in state._repr_html_()
+    assert "floor" not in repr(state.replace(contacts=None))
 
 
 def test_arrays_plans_and_recommendations_are_tables(run):

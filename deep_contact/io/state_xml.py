@@ -21,7 +21,7 @@ from deep_contact.io.files import read_bytes, write_bytes
 from deep_contact.io.old_dialects import BODY, CONTACT, modernise
 from deep_contact.io.xml_tree import Rows, StateFileError, expect, fault, read_integer, read_number, read_text
 from deep_contact.physics.solvers import METHODS, solver_from
-from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, no_contacts
+from deep_contact.state import SIDES, WALL_NORMALS, Bodies, Contacts, State, World, no_contacts
 from deep_contact.state.checks import check_state, is_unit
 from deep_contact.state.scales import ContactScales, mean
 from deep_contact.validation import integer
@@ -256,7 +256,7 @@ def _read_contacts(rows: Rows, bodies: Bodies, box, rank: dict, is_old: bool) ->
     rows.refuse(~is_unit(normal), "normal", "x y", "a unit vector")
     normal = np.where((first > second)[:, None], -normal, normal)
     wall = b == n
-    b[b > n] += len(WALLS) - 1
+    b[b > n] += len(SIDES) - 1
     b[wall] += _nearest_wall(normal[wall])
     pairs = {}
     for element, pair in zip(rows.elements, zip(a.tolist(), b.tolist())):
@@ -345,12 +345,12 @@ def _format_segments(world: World, n: int) -> str:
 
 def _format_contacts(contacts: Contacts, n: int) -> str:
     behind = contacts.body_b - n
-    wall = (behind >= 0) & (behind < len(WALLS))
+    wall = (behind >= 0) & (behind < len(SIDES))
     wrong = np.flatnonzero(wall)[_nearest_wall(contacts.normal[wall]) != behind[wall]]
     for i in wrong[:1]:
-        expected = f"expected one towards the {WALLS[behind[i]]} wall"
+        expected = f"expected one towards the wall {SIDES[behind[i]]!r}"
         raise ValueError(f"contacts.normal[{i}]: {expected}, got {contacts.normal[i]}")
     a, b, position, normal, separation, *impulses = contacts
-    slave = np.where(behind < len(WALLS), np.minimum(b, n), b - len(WALLS) + 1)
+    slave = np.where(behind < len(SIDES), np.minimum(b, n), b - len(SIDES) + 1)
     columns = (range(contacts.count), a, slave, separation, *position.T, *normal.T, *impulses)
     return f"  <contacts>\n{xml_tree.fill(_CONTACT_TEXT, contacts.count, columns)}  </contacts>\n"

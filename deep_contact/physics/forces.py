@@ -15,12 +15,9 @@ import numpy as np
 from numba import njit
 
 from deep_contact.physics.ready import has_engine_arrays, ready
-from deep_contact.state import State
+from deep_contact.state import SIDES, State, body_name
 from deep_contact.state.checks import check_types
 from deep_contact.validation import integer, number
-
-SIDES = ("floor", "right", "ceiling", "left")
-"""Names of the walls, in the order of their numbers."""
 
 
 class Forces(NamedTuple):
@@ -130,8 +127,7 @@ def coordination(state: State) -> np.ndarray:
 
 def name_of(state: State, body: int) -> int | str:
     """A body as users name it: a circle's number, the name of a wall, or "segment 3"."""
-    beyond = int(body) - state.bodies.count
-    return int(body) if beyond < 0 else SIDES[beyond] if beyond < 4 else f"segment {beyond - 4}"
+    return body_name(int(body), state.bodies.count)
 
 
 def neighbours(state: State, circle: int) -> list[int | str]:

@@ -3,8 +3,8 @@
 Conventions, said once, here:
 
 * SI units; an impulse λ is in N·s. Physics is float64.
-* The n circles are bodies 0 … n-1. The box is one static body; its walls are numbered n + 0 (bottom),
-  n + 1 (right), n + 2 (top) and n + 3 (left), so that two contacts of one circle in a corner differ. The static
+* The n circles are bodies 0 … n-1. The box is one static body; its walls are numbered n + 0 (floor),
+  n + 1 (right), n + 2 (ceiling) and n + 3 (left), so that two contacts of one circle in a corner differ. The static
   segments of `World.segments` follow, from n + 4 on.
 * A contact joins `body_a` < `body_b`. Its unit normal points from a to b, its tangent is (n_y, -n_x); relative
   velocity is b minus a; a negative separation is penetration. The contact point lies in the middle of the overlap.
@@ -15,6 +15,7 @@ Conventions, said once, here:
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -29,7 +30,8 @@ from deep_contact.state.scales import ContactScales, contact_scales
 S = TypeVar("S", bound="State")
 
 BOTTOM, RIGHT, TOP, LEFT = range(4)
-WALLS = ("bottom", "right", "top", "left")
+SIDES = ("floor", "right", "ceiling", "left")
+"""Names of the walls for users, in the order of their numbers."""
 WALL_NORMALS = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
 """Contact normals of the four walls, from circle to wall."""
 
@@ -146,7 +148,8 @@ class Contacts(NamedTuple):
         return bool(self.normal_start.any() or self.tangent_start.any())
 
     def _repr_html_(self) -> str:
-        return notebook.arrays_shown(notebook.counted(self.count, "contact"), self._asdict())
+        title = f"{notebook.counted(self.count, 'contact')} (dc.contact_table(state) names walls and segments)"
+        return notebook.arrays_shown(title, self._asdict())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -266,8 +269,15 @@ class State:
     def _summary(self) -> dict[str, str]:
         contacts = "contacts unknown" if self.contacts is None else notebook.counted(self.contacts.count, "contact")
         summary = {"bodies": notebook.counted(self.bodies.count, "circle"), "contacts": contacts}
+        summary |= {"walls": self._walls()} if self._walls() else {}
         summary |= {"time": f"t = {self.time:g} s", "step": f"step {self.step:,}"}
         return summary | ({"impulses": "solved"} if self.solved else {})
+
+    def _walls(self) -> str:
+        """How many contacts the walls and all segments have: "floor 9, left 2, segments 4"."""
+        beyond = [] if self.contacts is None else sorted(self.contacts.body_b - self.bodies.count)
+        touched = Counter(SIDES[wall] if wall < 4 else "segments" for wall in beyond if wall >= 0)
+        return ", ".join(f"{name} {count:,}" for name, count in touched.items())
 
     def _picture(self) -> str:
         (position, *_, radius), world, lines = self.bodies, self.world, contact_lines(self)
@@ -301,6 +311,12 @@ def contact_lines(state: State) -> np.ndarray:
     ends, between = contacts.position.copy(), contacts.body_b < bodies.count
     ends[between] = bodies.position[contacts.body_b[between]]
     return np.stack([bodies.position[contacts.body_a], ends], axis=1)
+
+
+def body_name(body: int, circles: int) -> int | str:
+    """A body of a contact among so many circles, as users name it: a circle's number, "floor", or "segment 3"."""
+    beyond = body - circles
+    return body if beyond < 0 else SIDES[beyond] if beyond < 4 else f"segment {beyond - 4}"
 
 
 def no_contacts() -> Contacts:

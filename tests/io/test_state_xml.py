@@ -397,7 +397,7 @@ BODIES, CONTACTS = example().bodies, example().contacts
         ("s.xml", {"solver": object()}, "solver"),
         ("s.xml", {"step": 1.5}, "step"),
         ("s.xml", {"step": 10**20}, "step"),
-        ("s.xml", {"contacts": CONTACTS._replace(normal=-CONTACTS.normal)}, "bottom wall"),
+        ("s.xml", {"contacts": CONTACTS._replace(normal=-CONTACTS.normal)}, "wall 'floor'"),
         *(
             (name, {}, rf"expected a name that ends in \.xml or \.xml\.gz, got '{name}'")
             for name in ("a.h5", "a.gz", "xml")
