@@ -39,8 +39,7 @@ class Store:
         self.simulations = tuple(sorted(int(match[1]) for match in matches if match))
         """Numbers of the simulations, rising."""
         if not self.simulations:
-            hint = "`deep-contact generate-data` makes them"
-            raise DataFileError(f"{self.folder}: expected files sim_0000.h5, …, got none; {hint}")
+            raise DataFileError(f"{self.folder}: expected files sim_0000.h5, …; got none: scripts/generate_data.py")
         self._cache: OrderedDict[int, StoredSimulation] = OrderedDict()
         self._infos = {}
 
@@ -85,12 +84,12 @@ class Store:
             pairs.append(np.stack([np.full_like(index, sim), index], axis=1))
         return np.concatenate(pairs)
 
-    def data_hash(self) -> str:
-        """SHA-256 over the numbers and digests of the simulations, whatever their compression.
+    def data_hash(self, sims=None) -> str:
+        """SHA-256 over the numbers and digests of some simulations (all by default), whatever their compression.
 
         The digests are those in the files; each is checked against the contents when the simulation is read.
         """
-        lines = (f"{sim} {self.info(sim).digest}\n" for sim in self.simulations)
+        lines = (f"{sim} {self.info(sim).digest}\n" for sim in (self.simulations if sims is None else sims))
         return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 

@@ -222,7 +222,7 @@ def test_the_store_knows_its_simulations_and_yields_their_states_in_order(folder
         store.state(9, 0)
     with pytest.raises(IndexError, match="70"):
         store.state(2, 70)
-    with pytest.raises(DataFileError, match="`deep-contact generate-data`"):
+    with pytest.raises(DataFileError, match="generate_data"):
         Store(folder / "nothing here")
 
 
