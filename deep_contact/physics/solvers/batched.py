@@ -302,7 +302,7 @@ def advance_by_team(step, options, log, shared, team):
     write_last_geometry(step, shared.contacts, team)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def step_by_team(step, options, shared, mine, buffer, log, k):
     """The stages of `engine.advance`, by a team with barriers between them. Returns the `Share` of this thread.
 
@@ -318,7 +318,7 @@ def step_by_team(step, options, shared, mine, buffer, log, k):
     velocities, before = tiles.solver_bodies[mine.first : mine.last], positions_before(bodies, segments)
     # Velocities.
     if is_built:
-        velocities[:] = shared.memory.solver_bodies[mine.first : mine.last]
+        take_velocities(shared.memory.solver_bodies, mine.first, velocities)
     else:
         integrate_velocities(mine.bodies, step.gravity, step.dt, velocities)
     fill_centres(mine.bodies, tiles.centre[mine.first : mine.last])
@@ -344,6 +344,14 @@ def step_by_team(step, options, shared, mine, buffer, log, k):
     return next_contacts(step, options, shared, mine, before, buffer)
 
 
+@njit(cache=True)
+def take_velocities(solver_bodies, first, velocities):
+    """Copy the velocities of solver bodies from the first on. By a loop, which compiles 3 s sooner than a slice."""
+    for i in range(velocities.shape[0]):
+        for c in range(velocities.shape[1]):
+            velocities[i, c] = solver_bodies[first + i, c]
+
+
 @njit(cache=True, error_model="numpy")
 def plan_step(step, shared, loads):
     """What a team needs before it solves the contacts, in `shared`: a plan for them, room for their tiles, impacts."""
@@ -356,7 +364,7 @@ def plan_step(step, shared, loads):
         rebound(step, contacts, loads)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def next_contacts(step, options, shared, mine, before, buffer):
     """`collision.next_contacts` by a team, into `shared`. Returns the `Share`, with room for its pairs."""
     bodies, box, segments, skin, team = step.bodies, step.box, step.segments, step.scales.wall_skin, mine.team
@@ -384,7 +392,7 @@ def least_known(step):
     return 0 if step.restitution > 0.0 else step.bodies.mass.shape[0]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def write_last_geometry(step, contacts, team):
     """The geometry of all contacts after the last step of a call."""
     first, last = share_of(contacts.body_a.shape[0], team)
