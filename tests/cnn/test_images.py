@@ -90,6 +90,7 @@ def test_a_state_without_contacts_has_empty_contact_channels():
     assert [values.shape for values in read_back(label, state, ImageSpec())] == [(0,), (0,)]
 
 
+@pytest.mark.filterwarnings("ignore:.*outside of the box")
 def test_a_body_pushed_out_of_the_box_acts_from_its_edge():
     assert input_image(ready(circles_at([[-0.2, 15.0]])), ImageSpec())[30, 0, 0] == pytest.approx(np.pi)
 

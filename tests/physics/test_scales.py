@@ -160,6 +160,7 @@ def test_scales_that_are_set_hold_whatever_the_scene():
     assert rises > stays + 0.01
 
 
+@pytest.mark.filterwarnings("ignore:.*outside of the box")
 @pytest.mark.parametrize("scales", [None, dc.BOX2D._replace(max_translation=1e300)])
 @pytest.mark.parametrize("dt", LIMITS["dt"][:2])
 def test_no_body_leaves_a_step_faster_than_a_state_may_be(scales, dt):

@@ -93,7 +93,7 @@ def test_without_a_trained_network_its_figures_say_what_to_do(keras, tmp_path, c
     assert figures.main(load_script(script).FIGURE, options) == 1
     message = capsys.readouterr().err
     assert "models/none.h5" in message
-    assert "scripts/train.py" in message
+    assert "`deep-contact train`" in message
     assert not any(tmp_path.iterdir())
 
 
