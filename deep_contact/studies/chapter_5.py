@@ -151,7 +151,8 @@ THESIS_VISITS = 18_208 * 8 // 10 * 1000
 
 BOUND = "at rest positions leave λ_n open by ±0.74 of its mean: Figure 6.15"
 OPEN = f"open: the rebuilt network starts little better than None ({BOUND})"
-"""Verdict on what the thesis says of its network, and half of the median interval, below which no network can promise."""
+"""Verdict on what the thesis says of its network; half of the median interval is the error that no network can promise
+to go below."""
 
 
 @dataclass(frozen=True)
