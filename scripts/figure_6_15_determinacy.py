@@ -37,7 +37,7 @@ def compute(options, seed, jobs, progress):
 
 def _measured(task):
     pile, contacts, seed, models = task
-    return dict(zip(PILE, pile)) | determinacy.measure(determinacy.pile(*pile, seed), contacts, seed, models)
+    return dict(zip(PILE, pile)) | determinacy.measure(determinacy.packed(*pile, seed), contacts, seed, models)
 
 
 def widths(data, pile):

@@ -19,7 +19,7 @@ SWEEPS = 20_000
 """Of a solver that makes a label."""
 
 
-def pile(kind: str, n_bodies: int, friction: float, smallest: float, seed: int) -> StateWithContacts:
+def packed(kind: str, n_bodies: int, friction: float, smallest: float, seed: int) -> StateWithContacts:
     """A packing after 51 steps ("settling"), or at a rms speed below 1e-3 m/s or after 1,050 ("resting").
 
     smallest: radius, m; the largest is 1 m. "thesis": the thesis's scene, of one radius, likewise, or after 1,600.
