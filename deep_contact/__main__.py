@@ -1,4 +1,4 @@
-"""The command line, `deep-contact` or `python -m deep_contact`: simulate, view, predict, train, figures and tables."""
+"""The command line, `deep-contact` or `python -m deep_contact`: simulate, predict, train, figures and tables."""
 
 from __future__ import annotations
 
@@ -19,7 +19,6 @@ from deep_contact.reporting import scripts
 COMMANDS = {
     "simulate": "run a scene, or go on from a state",
     "trade": "measure what each setting costs on a scene, and what it gets wrong",
-    "view": "play a simulation: contacts, impulses and θ as it runs",
     "warm-up": "compile ahead what first runs need, once: some two minutes",
     "sample": "print the path of a state of the thesis's scene",
     "figure": "draw a figure by its number in the thesis; without a number, list them",
@@ -82,39 +81,36 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
     parser.add_argument("--version", action="version", version=f"deep-contact {VERSION}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
     commands = {name: add(name, help=text, description=f"{text.capitalize()}.") for name, text in COMMANDS.items()}
-    _add_runs(commands["simulate"], commands["view"])
+    _add_run(commands["simulate"])
     commands["sample"].add_argument("name", nargs="?", help="impact_154, settling_349, … (default: all)")
     for name in ("figure", "table"):
         text = "3.7, say, or all; the options after it are in `… 3.7 --help`"
         commands[name].add_argument("number", nargs="?", help=text)
     _add_trade(commands["trade"])
-    runs = {"simulate": _simulate, "trade": _trade, "view": _view, "warm-up": _warm_up, "sample": _sample}
+    runs = {"simulate": _simulate, "trade": _trade, "warm-up": _warm_up, "sample": _sample}
     for name, run in (runs | {"figure": _list, "table": _list}).items():
         commands[name].set_defaults(run=run)
     return parser, commands
 
 
-def _add_runs(simulate: argparse.ArgumentParser, view: argparse.ArgumentParser) -> None:
-    of_simulate = (simulate, 600, 10, "steps between two states of the run in an .h5")
-    for parser, steps, every, what in (of_simulate, (view, 400, 4, "steps a frame")):
-        add = parser.add_argument
-        text = "go on from this state, or the last of a run.h5 (default: a scene of falling circles)"
-        add("state", nargs="?", metavar="STATE.xml", help=text)
-        add("--bodies", type=int, metavar="N", help="circles of the scene (default: 100)")
-        add("--size", type=float, metavar="M", help="side of its box, m (default: 30)")
-        add("--seed", type=int, metavar="N", help="of the scene, an integer >= 0 (default: 0)")
-        add("--no-gravity", action="store_true", help="circles that drift and collide, instead of 9.81 m/s²")
-        add("--steps", type=int, default=steps, metavar="N", help="time steps to run (default: %(default)s)")
-        add("--sweeps", type=int, metavar="N", help="most sweeps of the solver in a step (default: the state's own)")
-        add("--every", type=int, default=every, metavar="N", help=f"{what} (default: %(default)s)")
-        add("--warm-start", metavar="NAME", help="none, builtin, scaled, support, cnn, … (default: builtin)")
-    view.add_argument("--out", metavar="FILE.gif", help="write a film instead of opening a window")
-    add = simulate.add_argument
+def _add_run(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    text = "go on from this state, or the last of a run.h5 (default: a scene of falling circles)"
+    add("state", nargs="?", metavar="STATE.xml", help=text)
+    add("--bodies", type=int, metavar="N", help="circles of the scene (default: 100)")
+    add("--size", type=float, metavar="M", help="side of its box, m (default: 30)")
+    add("--seed", type=int, metavar="N", help="of the scene, an integer >= 0 (default: 0)")
+    add("--no-gravity", action="store_true", help="circles that drift and collide, instead of 9.81 m/s²")
+    add("--steps", type=int, default=600, metavar="N", help="time steps to run (default: %(default)s)")
+    add("--sweeps", type=int, metavar="N", help="most sweeps of the solver in a step (default: the state's own)")
+    text = "steps between two states of an .h5, or of a film (default: %(default)s)"
+    add("--every", type=int, default=10, metavar="N", help=text)
+    add("--warm-start", metavar="NAME", help="none, builtin, scaled, support, cnn, … (default: builtin)")
     add("--dt", type=float, metavar="S", help="time step, s (default: the state's, 0.01 s in a scene)")
     add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or that of --accuracy fast)")
     add("--tolerance", type=float, metavar="N·s", help="θ, the largest change of an impulse, that ends a step's sweeps")
     add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of both")
-    add("--out", metavar="FILE", help="the last state as .xml or .xml.gz, or the run as .h5")
+    add("--out", metavar="FILE", help="the last state, .xml or .xml.gz; the run, .h5; a film of it, .gif or .mp4")
 
 
 def _add_trade(parser: argparse.ArgumentParser) -> None:
@@ -140,11 +136,11 @@ def _simulate(args) -> int:
 
     out = Path(args.out or "")
     if args.out is not None:  # before the run, not after it
-        fits = out.name.endswith((".xml", ".xml.gz", ".h5"))
-        expect(fits, f"--out: expected a file that ends in .xml, .xml.gz, .h5, got {args.out!r}")
+        fits = out.name.endswith((".xml", ".xml.gz", ".h5", ".gif", ".mp4"))
+        expect(fits, f"--out: expected a file that ends in .xml, .xml.gz, .h5, .gif, .mp4, got {args.out!r}")
         expect(out.parent.is_dir(), f"--out: expected a folder that exists, got {str(out.parent)!r}")
     scene = _scene(args)
-    record = args.every if out.suffix == ".h5" else None
+    record = args.every if out.suffix in (".h5", ".gif", ".mp4") else None
     run = dc.simulate(scene, steps=args.steps, dt=args.dt, record=record, **_method(args, scene))
     state = run.state
     what = f"{state.bodies.count} circles, {args.steps} steps of {state.dt:g} s, {describe(state.solver)}"
@@ -155,8 +151,10 @@ def _simulate(args) -> int:
     if args.out is not None:
         if record is None:
             dc.write_state(out, state)
-        else:
+        elif out.suffix == ".h5":
             run.trajectory.save(out)
+        else:  # at the pace of the scene where the eye can follow
+            run.trajectory.film(out, fps=min(50.0, 1.0 / (args.every * state.dt)))
         print(out)
     return 0
 
@@ -199,26 +197,6 @@ def _trade(args) -> int:
     if args.out is not None:
         trade.save(args.out) if suffix == ".json" else dc.plotting.save(trade.plot(), args.out)
         print(args.out)
-    return 0
-
-
-def _view(args) -> int:
-    import deep_contact as dc
-    from deep_contact import viewer
-    from deep_contact.reporting.figures import progress_bar
-
-    scene = _scene(args)
-    solver = None if args.sweeps is None else dc.PGS(sweeps=args.sweeps)
-    start = args.warm_start or "builtin"
-    pictures = viewer.frames(scene, steps=args.steps, every=args.every, solver=solver, warm_start=start)
-    if args.out is None:
-        if viewer.has_display():
-            viewer.play(pictures)
-            return 0
-        print("no display: writing a film instead", file=sys.stderr)
-    fps = min(50, max(1, round(1 / (args.every * scene.dt))))
-    total = -(-args.steps // args.every)
-    print(viewer.record(progress_bar(pictures, total=total, text="frames"), args.out or "view.gif", fps=fps))
     return 0
 
 

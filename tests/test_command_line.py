@@ -1,4 +1,4 @@
-"""`deep-contact` and `python -m deep_contact`; `view` is in `test_viewer.py`."""
+"""`deep-contact` and `python -m deep_contact`."""
 
 import json
 import sys
@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import ROOT, run_python
+from PIL import Image
 
 import deep_contact as dc
 from deep_contact import __main__ as command_line
@@ -159,6 +160,13 @@ def test_a_run_of_a_scene_is_stored_with_one_state_in_so_many_steps(tmp_path, mo
     np.testing.assert_array_equal(run[3].bodies.position, expected.bodies.position)
 
 
+def test_a_run_is_filmed_at_the_pace_of_the_scene(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", "--bodies", "3", "--steps", "8", "--every", "4", "--out", "run.gif"]) == 0
+    with Image.open("run.gif") as film:
+        assert (film.n_frames, film.info["duration"]) == (3, 40)
+
+
 def test_an_accuracy_picks_the_solver(capsys):
     assert main(["simulate", "--bodies", "3", "--no-gravity", "--steps", "0", "--accuracy", "fast"]) == 0
     solver = dc.recommend(dc.drifting_circles(3), accuracy="fast").solver
@@ -176,7 +184,7 @@ def test_an_accuracy_picks_the_solver(capsys):
         (["simulate", "--warm-start", "magic"], "expected one of none, builtin"),
         (["simulate", "--steps", "-1"], "steps: expected"),
         (["simulate", "scene.xml", "--bodies", "3"], "expected none beside STATE.xml"),
-        (["view", "--every", "0"], "every: expected"),
+        (["simulate", "--every", "0", "--out", "film.gif"], "expected"),
     ],
 )
 def test_bad_arguments_exit_with_2_and_name_the_fault(arguments, message, tmp_path, monkeypatch, capsys):

@@ -91,7 +91,7 @@ deep-contact simulate later.xml --steps 20 --warm-start cnn --out run.h5
 deep-contact predict --no-pictures "$(deep-contact sample rest_362)"
 deep-contact generate-data --quick --jobs 1
 deep-contact train --from model --data data/generated/quick --epochs 1 --states-per-epoch 32 --out trained
-deep-contact view --bodies 10 --steps 8 --every 4 --out view.gif
+deep-contact simulate --bodies 10 --steps 8 --every 4 --out film.gif
 deep-contact figure 5.3 --quick > figure.txt
 deep-contact table 5.1 --quick > table.txt
 programs=("$source"/docs/gallery/predict_impulses.py)
