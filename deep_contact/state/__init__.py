@@ -275,8 +275,8 @@ class State:
 
     def _walls(self) -> str:
         """How many contacts the walls and all segments have: "floor 9, left 2, segments 4"."""
-        beyond = [] if self.contacts is None else sorted(self.contacts.body_b - self.bodies.count)
-        touched = Counter(SIDES[wall] if wall < 4 else "segments" for wall in beyond if wall >= 0)
+        beyond = np.zeros(0, int) if self.contacts is None else self.contacts.body_b - self.bodies.count
+        touched = Counter(SIDES[wall] if wall < 4 else "segments" for wall in np.sort(beyond[beyond >= 0]))
         return ", ".join(f"{name} {count:,}" for name, count in touched.items())
 
     def _picture(self) -> str:

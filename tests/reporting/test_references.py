@@ -14,7 +14,13 @@ import tables
 
 FILES = {
     "deep_contact/__init__.py": "if TYPE_CHECKING:\n    from deep_contact.engine import sweep\n",
-    "deep_contact/engine.py": "from deep_contact import rows\n\ndef sweep(x):\n    return rows.of(x) + 1\n",
+    "deep_contact/engine.py": """from deep_contact import rows
+
+def sweep(x):
+    if x < 0:
+        raise ValueError("x")
+    return rows.of(x) + 1
+""",
     "deep_contact/rows.py": "def of(x):\n    return 2 * x\n",
     "deep_contact/other.py": "n = 1\n",
     "deep_contact/studies/piles.py": "N = 3\n\ndef draw(data):\n    pass\n",
@@ -67,6 +73,7 @@ def changed(tmp_path):
     ("file", "old", "new"),
     [
         (ENGINE, "def sweep(x):\n", 'def sweep(x):\n    """Says more."""\n    # and why\n'),
+        (ENGINE, 'ValueError("x")', 'ValueError("x: expected a number")'),
         (STUDY, "pass", "return 1"),
         (SCRIPT, "return COLOURS", "return None"),
         (SCRIPT, "COLOURS = [other.n]", "COLOURS = [1]"),
