@@ -31,26 +31,34 @@ LEFT_OUT = {"title", "table", "draw", "claims"}, (1, 3, 4, 5)
 
 @cache
 def code(script: Path, root: Path = shipped.ROOT) -> dict[str, str]:
-    """Path below `root` -> 16 digits, of a script, of all modules that it imports, directly or not, and their .json."""
-    digests, waiting = {}, {script}
+    """Path below `root` -> 16 digits, of a script, of all modules that it imports, directly or not, and their .json.
+
+    The table of settings that `accuracy=` looks up counts where the script or a study that it imports gives one: the
+    study of runs, which writes the table, does not.
+    """
+    digests, waiting, looks_up = {}, {script}, False
     while waiting:
         file = waiting.pop()
-        read, imported = _read(file, root, file == script)
+        read, imported, gives_accuracy = _read(file, root, file == script)
+        looks_up |= gives_accuracy and (file == script or file.parent.name == "studies")
         digests |= read
         waiting |= imported - digests.keys()
+    if not looks_up:
+        digests = {path: digest for path, digest in digests.items() if path.parent.name != "reference"}
     below = {path: path.relative_to(root).as_posix() if root in path.parents else path.name for path in digests}
     return {below[path]: digests[path] for path in sorted(digests)}
 
 
 @cache
-def _read(file: Path, root: Path, is_script: bool) -> tuple[dict[Path, str], set[Path]]:
-    """Digests of a file and of the .json files that it names, and the files that it imports."""
+def _read(file: Path, root: Path, is_script: bool) -> tuple[dict[Path, str], set[Path], bool]:
+    """Digests of a file and of the .json files that it names, the files that it imports, and if it gives an accuracy."""
     tree = _Numbers(is_script).visit(ast.parse(file.read_bytes()))
     texts = {str(node.value) for node in ast.walk(tree) if isinstance(node, ast.Constant)}
     names = [text for text in texts if text.endswith(".json") and "/" not in text]
     data = [folder / name for folder in (file.parent, file.parent / "reference", root / "models") for name in names]
     digests = {file: _digest(ast.dump(tree).encode())}
-    return digests | {path: _digest(path.read_bytes()) for path in data if path.is_file()}, _imported(tree, root)
+    digests |= {path: _digest(path.read_bytes()) for path in data if path.is_file()}
+    return digests, _imported(tree, root), "accuracy=" in ast.unparse(tree)
 
 
 @cache

@@ -21,7 +21,8 @@ def sweep(x):
         raise ValueError("x")
     return rows.of(x) + 1
 """,
-    "deep_contact/rows.py": "def of(x):\n    return 2 * x\n",
+    "deep_contact/rows.py": "TABLE = 'runs.json'\n\ndef of(x):\n    return 2 * x\n",
+    "deep_contact/reference/runs.json": "[1]",
     "deep_contact/other.py": "n = 1\n",
     "deep_contact/studies/piles.py": "N = 3\n\ndef draw(data):\n    pass\n",
     "scripts/figure_9_1.py": """
@@ -108,6 +109,15 @@ def test_a_module_that_is_gone_makes_times_alone_old(changed, tmp_path):
     assert changed(SCRIPT, "", "", code=code, golden="c") == "deep_contact/gone.py changed"
 
 
+def test_another_table_of_presets_makes_old_what_gives_an_accuracy(changed, tmp_path):
+    table = "deep_contact/reference/runs.json"
+    assert changed(table, "1", "2") == ""
+    (tmp_path / SCRIPT).write_text(FILES[SCRIPT].replace("(piles.N", "(piles.N, accuracy=1"))
+    sources._read.cache_clear()
+    sources.code.cache_clear()
+    assert changed(table, "1", "2", code=sources.code(tmp_path / SCRIPT, tmp_path)) == f"{table} changed"
+
+
 def test_another_input_or_processor_makes_a_result_old(changed, monkeypatch):
     same = SCRIPT, "", ""
     assert changed(*same, inputs={"models/model.h5": "0" * 64}) == "models/model.h5 has changed"
@@ -118,7 +128,9 @@ def test_another_input_or_processor_makes_a_result_old(changed, monkeypatch):
 def test_a_script_counts_what_it_runs():
     files = {name: sources.code(path) for name, (path, *_) in references.commands().items()}
     assert "deep_contact/physics/solvers/pgs.py" in files["figure_5_7"]
-    assert "deep_contact/reference/runs.json" in files["run_tradeoff"]  # what the presets are
+    presets = "deep_contact/reference/runs.json"
+    assert {name for name, found in files.items() if presets in found} == {"figure_6_14", "figure_6_15", "table_6_4"}
+    assert presets in sources.code(ROOT / "tests" / "tools" / "golden.py")
     assert not any("physics" in file for file in files["figure_3_3"])
     assert not any("plotting" in file for found in files.values() for file in found)
 

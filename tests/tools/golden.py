@@ -310,8 +310,9 @@ def write():
     np.savez_compressed(packed, **named)
     write_bytes(FILE.with_suffix(".npz"), packed.getvalue())
     before, of = json.loads(FILE.read_text(encoding="utf-8")), sources.digest_of_runs
-    bits = {name: entry["sha256"] for name, entry in entries.items()}
-    is_kept = all(bits.get(name, entry["sha256"]) == entry["sha256"] for name, entry in before["runs"].items())
+    # A run that a preset gives another solver is another run: it says nothing of the code.
+    same = [(entries[name], was) for name, was in before["runs"].items() if name in entries]
+    is_kept = all(now["sha256"] == was["sha256"] for now, was in same if now["solver"] == was["solver"])
     extends = dict.fromkeys([*before.get("extends", ()), of(before["runs"])]) if is_kept else {}
     extends.pop(of(entries), None)
     record = {"machine": machine(), "provenance": provenance(), "extends": [*extends], "runs": entries}
