@@ -51,7 +51,7 @@ def code(script: Path, root: Path = shipped.ROOT) -> dict[str, str]:
 
 @cache
 def _read(file: Path, root: Path, is_script: bool) -> tuple[dict[Path, str], set[Path], bool]:
-    """Digests of a file and of the .json files that it names, the files it imports, and whether it gives an accuracy."""
+    """Digests of a file and of the .json files it names, the files that it imports, whether it gives an accuracy."""
     tree = _Numbers(is_script).visit(ast.parse(file.read_bytes()))
     texts = {str(node.value) for node in ast.walk(tree) if isinstance(node, ast.Constant)}
     names = [text for text in texts if text.endswith(".json") and "/" not in text]
