@@ -133,7 +133,7 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "states": {"100": 20, "300": 20, "1000": 12, "3000": 8, "10000": 6}, "kinds": ["settling", "resting"],
+    "states": {"100": 20, "300": 20, "1000": 20, "3000": 20, "10000": 10}, "kinds": ["settling", "resting"],
     "radii": {"near": 0.8, "mixed": 0.5}, "sweeps": [5, 10, 20, 40, 80, 160, 320, 640, 1280, 2560], "repeats": 5,
     "first": {"zero": 60, "support": 52, LEARNED: 20}, "model": "no_past", "work": "runs/figure_6_14",
     "drawn": ["resting", "near"], "least": 1000,
