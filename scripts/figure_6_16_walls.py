@@ -1,0 +1,141 @@
+"""python scripts/figure_6_16_walls.py: what a preset costs where walls have shapes, ours and other engines."""
+
+from pathlib import Path
+
+import numpy as np
+
+from deep_contact import trade
+from deep_contact.io.provenance import commit
+from deep_contact.physics.scenes import drum, hopper, terrain
+from deep_contact.presets import PRESETS
+from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact.run_errors import observation, observe
+from deep_contact.studies import runs
+from deep_contact.studies.parts import done
+
+SCENES = {
+    "terrain, 24 segments": (terrain, {"bumps": 24}),
+    "terrain, 400 segments": (terrain, {"bumps": 400}),
+    "drum, 24 sides": (drum, {"froude": 0.1, "sides": 24}),
+    "drum, 240 sides": (drum, {"froude": 0.1, "sides": 240}),
+    "hopper": (hopper, {}),
+}
+KNOBS = {"pymunk": {"slop": 0.25}, "Box2D 2.3": {"position_sweeps": 3}, "Box2D v3": {"hertz": 120.0}}
+"""A setting that made each engine cheaper on plain piles; every budget is run with it and without."""
+
+
+def scene(name, n_bodies, seed):
+    """The scene of a name and a seed."""
+    make, options = SCENES[name]
+    return make(n_bodies, seed=seed, **options)
+
+
+def observed(name, n_bodies, seed, setting, seconds, commit):
+    """What is looked at of one run of a scene with a setting."""
+    states = trade.states_of(scene(name, n_bodies, seed), setting, round(seconds / runs.INTERVAL), runs.INTERVAL)
+    return observe(states)
+
+
+def timed(name, n_bodies, seed, setting, seconds, commit):
+    """Mean time of the scene's Δt in such a run, µs."""
+    start = scene(name, n_bodies, seed)
+    return 1e6 * trade.timed(start, setting, seconds) * start.dt / seconds
+
+
+FUNCTIONS = {"observed": observed, "timed": timed}
+
+
+def settings_of(start):
+    """The reference's setting of a scene, then ours, the presets' among them, then other engines'."""
+    by_preset, ladder = trade.ladder(start)
+    others, _ = trade.rivals(start)
+    tuned = [setting | KNOBS[setting["engine"]] for setting in others]
+    return [trade.reference_of(start), *by_preset.values(), *ladder, *others, *tuned]
+
+
+def compute(options, seed, jobs, progress):
+    """Rows and presets of every scene. Finished parts are kept in the folder `work`: a run of one commit goes on."""
+    cases = [(name, int(n)) for n, names in options["scenes"].items() for name in names]
+    return {"scenes": [measure(*case, options, seed, jobs) for case in progress(cases, text="scenes")]}
+
+
+def measure(name, n, options, seed, jobs):
+    """The rows and presets of a scene of n circles, as of the study of runs."""
+    numbers = figures.seeds(seed, options["seeds"][str(n)])
+    start = scene(name, n, numbers[0])
+    reference, *settings = {trade.name_of(one, start.dt): one for one in settings_of(start)}.values()
+    common = {"name": name, "n_bodies": n, "seconds": options["seconds"], "commit": commit()}
+
+    def parts(what, settings, numbers, jobs):
+        cells = [(what, common | {"seed": one, "setting": setting}) for setting in settings for one in numbers]
+        made = done(cells, FUNCTIONS, work=Path(options["work"]), jobs=jobs, text=f"{name}, {n}, {what}")
+        return [made[k : k + len(numbers)] for k in range(0, len(made), len(numbers))]
+
+    seen = [list(map(observation, runs)) for runs in parts("observed", [reference, *settings], numbers, jobs)]
+    rows, same = [], {"kind": "plain", "n_bodies": n}  # `runs.presets` compares engines on plain piles
+    for setting, ensemble, took in zip(
+        settings, seen[1:], parts("timed", settings, numbers[: options["timed"][str(n)]], 1)
+    ):
+        us = float(np.mean(took))
+        rows.append(trade.row_of(setting, start.dt, ensemble, seen[0]) | same | {"us": us, "times": [us]})
+    return {"scene": name, "n_bodies": n, "rows": rows, "presets": runs.presets(rows)}
+
+
+def claims(data):
+    """Of each size: the ratios, and which presets ours or the rivals alone keep."""
+    for n in runs.sizes_of(data["scenes"]):
+        cells = {f"{one['scene']}, {row['preset']}": row for one in data["scenes"] if one["n_bodies"] == n
+                 for row in one["presets"]}  # fmt: skip
+        ratios = {name: row["ratio"] for name, row in cells.items() if row["ratio"][0]}
+        text = f"walls of any shape: no preset is dearer than with the fastest rival that keeps it, {n:,} circles"
+        yield Claim(text, None, min((ratio[0] for ratio in ratios.values()), default=0) >= 1, ratios)
+        kept = {name: [bool(row["kinds"]["plain"]), any(row["peers"].values())] for name, row in cells.items()}
+        alone = {who: [name for name, one in kept.items() if one == [who == "ours", who != "ours"]]
+                 for who in ("ours", "a rival")}  # fmt: skip
+        text = f"walls of any shape: ours keeps every preset that a rival keeps, {n:,} circles"
+        yield Claim(text, None, not alone["a rival"], {"kept by ours alone": alone["ours"], "not": alone["a rival"]})
+
+
+def table(data):
+    """Of each scene and size: ratios by preset; "alone" where ours keeps it and no setting of the rivals does."""
+    rows = [["circles", "scene", *PRESETS]]
+    for one in data["scenes"]:
+        rows.append([one["n_bodies"], one["scene"], *map(cell, one["presets"])])
+    return rows
+
+
+def cell(row):
+    """What a table says of a preset."""
+    value, *ends = row["ratio"]
+    if value is None:
+        return "alone" if row["kinds"]["plain"] else "–"
+    return f"{value:.2g}" + (" ({:.2g}–{:.2g})".format(*ends) if all(ends) else "")
+
+
+def draw(data, options):
+    """A panel a size, a line a scene: ratio of times with its interval, a colour a preset."""
+    sizes, names = runs.sizes_of(data["scenes"]), list(dict.fromkeys(one["scene"] for one in data["scenes"]))
+    size = (plotting.PAGE, 0.7 * len(names) + 1.3)
+    figure, panels = plotting.subplots(1, len(sizes), size=size, squeeze=False, sharey=True)
+    for ax, n in zip(panels[0], sizes):
+        here = {one["scene"]: one["presets"] for one in data["scenes"] if one["n_bodies"] == n}
+        for k, (preset, colour) in enumerate(zip(PRESETS, plotting.shades(len(PRESETS)))):
+            value, *ends = np.array([rows[k]["ratio"] for rows in here.values()], dtype=float).T
+            places = np.array([names.index(name) for name in here]) + 0.14 * (k - 2)
+            reach = np.nan_to_num(np.abs(ends - value))
+            look = {"marker": "o", "markersize": 4, "linewidth": 0.8, "linestyle": "none"}
+            ax.errorbar(value, places, xerr=reach, color=colour, label=preset, **look)
+        ax.axvline(1.0, color=plotting.BLACK, linewidth=0.7, linestyle=":")
+        ax.set_xlim(left=0.0)
+    plotting.name_bars(panels[0, 0], names)
+    plotting.label_grid(panels, map("{:,} circles".format, sizes), "time of the fastest rival / ours", [""])
+    return plotting.legend_below(figure, panels[0, 0], "What does the same accuracy cost where walls have shapes?")
+
+
+LARGE = ["terrain, 400 segments", "drum, 240 sides", "hopper"]
+OPTIONS = {"scenes": {"100": [*SCENES], "1000": [*SCENES], "3000": LARGE}, "seeds": {"100": 12, "1000": 6, "3000": 3},
+           "timed": {"100": 2, "1000": 2, "3000": 1}, "seconds": 6.0, "work": "runs/figure_6_16"}  # fmt: skip
+QUICK = {"scenes": {"100": ["terrain, 24 segments"]}, "seeds": {"100": 3}, "timed": {"100": 1}, "seconds": 2.0}
+FIGURE = Figure("6.16", "Speed for accuracy where walls have shapes", compute, table, draw, claims, options=OPTIONS,
+                quick=QUICK, digits=4)  # fmt: skip
+figures.run_as_script(FIGURE, __name__)
