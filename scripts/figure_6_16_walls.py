@@ -7,7 +7,7 @@ import numpy as np
 from deep_contact import trade
 from deep_contact.io.provenance import commit
 from deep_contact.physics.scenes import drum, hopper, terrain
-from deep_contact.presets import PRESETS
+from deep_contact.presets import PRESETS, excess
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.run_errors import observation, observe
 from deep_contact.studies import runs
@@ -60,7 +60,10 @@ def compute(options, seed, jobs, progress):
 
 
 def measure(name, n, options, seed, jobs):
-    """The rows and presets of a scene of n circles, as of the study of runs."""
+    """The rows and presets of a scene of n circles, as of the study of runs.
+
+    worst: of what `accuracy=` takes there, the largest error over its tolerance.
+    """
     numbers = figures.seeds(seed, options["seeds"][str(n)])
     start = scene(name, n, numbers[0])
     reference, *settings = {trade.name_of(one, start.dt): one for one in settings_of(start)}.values()
@@ -78,7 +81,12 @@ def measure(name, n, options, seed, jobs):
     ):
         us = float(np.mean(took))
         rows.append(trade.row_of(setting, start.dt, ensemble, seen[0]) | same | {"us": us, "times": [us]})
-    return {"scene": name, "n_bodies": n, "rows": rows, "presets": runs.presets(rows)}
+    by_name, chosen = {row["name"]: row["errors"] for row in rows}, trade.ladder(start)[0]
+    errors = {preset: by_name[trade.name_of(setting, start.dt)] for preset, setting in chosen.items()}
+    worst = {
+        preset: excess({key: of and of[0] for key, of in errors[preset].items()}, PRESETS[preset]) for preset in chosen
+    }
+    return {"scene": name, "n_bodies": n, "rows": rows, "presets": runs.presets(rows), "worst": worst}
 
 
 def claims(data):
@@ -94,6 +102,11 @@ def claims(data):
                  for who in ("ours", "a rival")}  # fmt: skip
         text = f"walls of any shape: ours keeps every preset that a rival keeps, {n:,} circles"
         yield Claim(text, None, not alone["a rival"], {"kept by ours alone": alone["ours"], "not": alone["a rival"]})
+        worst = {f"{one['scene']}, {preset}": value for one in data["scenes"] if one["n_bodies"] == n
+                 for preset, value in one["worst"].items()}  # fmt: skip
+        missed = {name: value for name, value in worst.items() if value > 1}
+        text = f"walls of any shape: what accuracy= takes keeps its preset, {n:,} circles"
+        yield Claim(text, None, not missed, {"of": len(worst), "missed": len(missed), **missed})
 
 
 def table(data):
@@ -127,6 +140,7 @@ def draw(data, options):
             ax.errorbar(value, places, xerr=reach, color=colour, label=preset, **look)
         ax.axvline(1.0, color=plotting.BLACK, linewidth=0.7, linestyle=":")
         ax.set_xlim(left=0.0)
+        ax.set_ylim(-0.5, len(names) - 0.5)
     plotting.name_bars(panels[0, 0], names)
     plotting.label_grid(panels, map("{:,} circles".format, sizes), "time of the fastest rival / ours", [""])
     return plotting.legend_below(figure, panels[0, 0], "What does the same accuracy cost where walls have shapes?")
