@@ -139,6 +139,16 @@ def drum_over_plain() -> float:
     return max(row["us"] / plain[row["n_bodies"], row["preset"]] for row in rows if row["kind"] == "slow drum")
 
 
+def walls() -> tuple:
+    """Figure 6.16: the least and the most ratio; cells in which what accuracy= takes keeps its preset, all cells, and
+    those in which it does within the interval of the seeds."""
+    scenes = stored("figure_6_16")["data"]["scenes"]
+    ratios = spread(row["ratio"][0] for one in scenes for row in one["presets"] if row["ratio"][0])
+    taken = [one["measured"] for one in stored("figure_6_16")["claims"] if "accuracy= takes" in one["text"]]
+    of, missed, beyond = (sum(one[name] for one in taken) for name in ("of", "missed", "beyond the interval"))
+    return *ratios, of - missed, of, of - beyond
+
+
 def penetration(**setting) -> float:
     """Mean penetration at rest of plain piles of 1,000 with 4 sweeps of PGS and a setting, % of r."""
     wanted = {"method": "PGS", "sweeps": 4} | setting
@@ -314,6 +324,11 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             lambda: [*spread(native_share("head-avx2")), *spread(native_share("v3.1.1-avx2")), *rivals_with_native()],
         ),
         (
+            "takes {:.1f} to {:.1f} times as long as ours for the same preset ([Figure 6.16](../data/reference/figure_6_16.png)",
+            lambda: walls()[:2],
+        ),
+        ("`accuracy=` takes keeps its preset in {} of {} cases there, in {} within the interval of the seeds", lambda: walls()[2:]),
+        (
             "Mass ratios of {:g}, columns of {:,.0f} circles and coordinates of {:g} m are safe",
             lambda: safe("ours", "mass ratio, heavy on light", "column height", "coordinate"),
         ),
@@ -361,6 +376,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     "README.md": [
         ("pymunk takes {:.1f} to {:.1f} times as long", rivals),
         ("with it compiled natively the range is {:.1f} to {:.1f}", rivals_with_native),
+        ("on terrain, in drums and in hoppers {:.1f} to {:.1f}", lambda: walls()[:2]),
     ],
     "other_starts.md": [
         (

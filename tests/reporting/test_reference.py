@@ -183,6 +183,7 @@ UNDECIDED = {
     "6.7": "fewer steps, after which solutions have parted less",
     "6.8": FEW_SCENES,
     "6.15": "piles of 30 circles have no contacts too many without friction",
+    "6.16": "runs of 2 s, in which some piles have not come to rest",
 }
 """Figures whose quick runs may find other claims to hold, and why."""
 
