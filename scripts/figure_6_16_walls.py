@@ -145,7 +145,7 @@ def cell(one):
 
 
 def draw(data, options):
-    """A panel a size, a line a scene: ratio of times with its interval, a colour a preset."""
+    """A panel a size, a line a scene: ratio of times with its interval, a colour a preset; an arrow: ours alone."""
     sizes, names = runs.sizes_of(data["scenes"]), list(dict.fromkeys(one["scene"] for one in data["scenes"]))
     size = (plotting.PAGE, 0.7 * len(names) + 1.3)
     figure, panels = plotting.subplots(1, len(sizes), size=size, squeeze=False, sharey=True)
@@ -164,8 +164,9 @@ def draw(data, options):
         ax.set_xlim(left=0.0)
         ax.set_ylim(-0.5, len(names) - 0.5)
     plotting.name_bars(panels[0, 0], names)
-    plotting.label_grid(panels, map("{:,} circles".format, sizes), "time of the fastest rival / ours", [""])
-    return plotting.legend_below(figure, panels[0, 0], "What does the same accuracy cost where walls have shapes?")
+    plotting.label_grid(panels, map("{:,} circles".format, sizes), "fastest rival / ours", [""])
+    title = "What does the same accuracy cost where walls have shapes? (arrows: no rival keeps it)"
+    return plotting.legend_below(figure, panels[0, 0], title)
 
 
 LARGE = ["terrain, 400 segments", "drum, 240 sides", "hopper"]
