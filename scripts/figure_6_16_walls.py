@@ -110,10 +110,10 @@ def claims(data):
                  for preset in PRESETS}  # fmt: skip
         verdicts = {name: verdict(*cell) for name, cell in cells.items()}
         ratios = {name: one for name, one in verdicts.items() if not isinstance(one, str)}
-        text = f"walls of any shape: no preset is dearer than with the fastest rival that keeps it, {n:,} circles"
+        text = f"no preset is dearer than with the fastest rival, {n:,} circles"
         yield Claim(text, None, min((ratio[0] for ratio in ratios.values()), default=0) >= 1, ratios)
         who = {who: [name for name, one in verdicts.items() if one == who] for who in ("ours", "undecided", "a rival")}
-        text = f"walls of any shape: ours keeps every preset that a rival keeps, {n:,} circles"
+        text = f"ours keeps what a rival keeps, {n:,} circles"
         yield Claim(text, None, not who["a rival"], {f"{name} alone": "; ".join(which) for name, which in who.items()})
         taken = {name: [row for row in one["rows"] if row["name"] == one["chosen"][preset]]
                  for name, (one, preset) in cells.items()}  # fmt: skip
@@ -124,7 +124,7 @@ def claims(data):
             "missed": len(missed),
             "beyond the interval": sum(low > 1 for _, low in over.values()),
         }
-        text = f"walls of any shape: what accuracy= takes keeps its preset, {n:,} circles"
+        text = f"what accuracy= takes keeps its preset, {n:,} circles"
         yield Claim(text, None, not missed, measured | missed)
 
 
