@@ -72,9 +72,7 @@ def cell(stem: str, row: str, column: str):
 
 def claim(stem: str, text: str) -> dict:
     """What decided the one claim of a file whose text contains this: name -> value."""
-    (found,) = (
-        one["measured"] for one in stored(stem)["claims"] if text in one["text"]
-    )
+    (found,) = (one["measured"] for one in stored(stem)["claims"] if text in one["text"])
     return found
 
 
@@ -95,11 +93,7 @@ def rivals() -> tuple[float, float]:
 
 def native_share(build: str, n_bodies: int | None = None) -> list[float]:
     """What Box2D v3 compiled natively takes of its Python package's time, a number for each size and number of substeps."""
-    found = (
-        row
-        for row in stored("box2d_native")["data"]["results"]
-        if n_bodies in (None, row["n"])
-    )
+    found = (row for row in stored("box2d_native")["data"]["results"] if n_bodies in (None, row["n"]))
     return [1.0 / row["package_over_native"][build][0] for row in found]
 
 
@@ -108,11 +102,7 @@ def rivals_with_native() -> tuple[float, float]:
     found = []
     for row in stored("figure_6_1")["data"]["presets"]:
         share = {"Box2D v3": float(np.mean(native_share("head-avx2", row["n_bodies"])))}
-        costs = [
-            share.get(engine, 1.0) * cost["us"]
-            for engine, cost in row["peers"].items()
-            if cost
-        ]
+        costs = [share.get(engine, 1.0) * cost["us"] for engine, cost in row["peers"].items() if cost]
         ours = row["kinds"]["plain"]
         found += [min(costs) / ours["us"]] if costs and ours else []
     return spread(found)
@@ -121,27 +111,14 @@ def rivals_with_native() -> tuple[float, float]:
 def before() -> list[float]:
     """What was published: the least and the most ratio; a step's time with its world's destruction, and that alone, ms."""
     data = stored("ratios_before")["data"]
-    with_it, alive = (
-        data["step_of_pymunk_ms"][name] for name in ("destroyed", "alive")
-    )
-    return [
-        *spread(row["ratio"][0] for row in data["ratios"] if row["ratio"][0]),
-        with_it - alive,
-        with_it,
-    ]
+    with_it, alive = (data["step_of_pymunk_ms"][name] for name in ("destroyed", "alive"))
+    return [*spread(row["ratio"][0] for row in data["ratios"] if row["ratio"][0]), with_it - alive, with_it]
 
 
 def verified(counted: str = "kept") -> list:
     """How many cells outside of the study each preset kept, strictly or "within" the interval."""
     data = stored("run_tradeoff_verify")["data"]
-    return [
-        sum(
-            all(row[counted].values())
-            for row in data["rows"]
-            if row["preset"] == preset
-        )
-        for preset in PRESETS
-    ]
+    return [sum(all(row[counted].values()) for row in data["rows"] if row["preset"] == preset) for preset in PRESETS]
 
 
 def cells_outside() -> int:
@@ -159,18 +136,9 @@ def walls() -> tuple:
     """Figure 6.16: the least and the most ratio; cells in which what accuracy= takes keeps its preset, all cells, and
     those in which it does within the interval of the seeds."""
     scenes = stored("figure_6_16")["data"]["scenes"]
-    ratios = spread(
-        row["ratio"][0] for one in scenes for row in one["presets"] if row["ratio"][0]
-    )
-    taken = [
-        one["measured"]
-        for one in stored("figure_6_16")["claims"]
-        if "accuracy= takes" in one["text"]
-    ]
-    of, missed, beyond = (
-        sum(one[name] for one in taken)
-        for name in ("of", "missed", "beyond the interval")
-    )
+    ratios = spread(row["ratio"][0] for one in scenes for row in one["presets"] if row["ratio"][0])
+    taken = [one["measured"] for one in stored("figure_6_16")["claims"] if "accuracy= takes" in one["text"]]
+    of, missed, beyond = (sum(one[name] for one in taken) for name in ("of", "missed", "beyond the interval"))
     return *ratios, of - missed, of, of - beyond
 
 
@@ -178,42 +146,25 @@ def penetration(**setting) -> float:
     """Mean penetration at rest of plain piles of 1,000 with 4 sweeps of PGS and a setting, % of r."""
     wanted = {"method": "PGS", "sweeps": 4} | setting
     rows = stored("run_tradeoff")["data"]["rows"]
-    (row,) = (
-        r
-        for r in rows
-        if (r["n_bodies"], r["kind"], r["setting"]) == (1000, "plain", wanted)
-    )
+    (row,) = (r for r in rows if (r["n_bodies"], r["kind"], r["setting"]) == (1000, "plain", wanted))
     return row["errors"]["penetration"][0]
 
 
 def smaller_step() -> tuple:
     """For the price of 20 sweeps: sweeps of the best smaller step, and what it leaves of the deepest penetration."""
-    found = [
-        one["measured"]
-        for one in stored("figure_6_11")["claims"]
-        if "penetration" in one["text"]
-    ]
-    return *spread(m["sweeps"] for m in found), *spread(
-        m["%"] / m["Δt, 20 sweeps, %"] for m in found
-    )
+    found = [one["measured"] for one in stored("figure_6_11")["claims"] if "penetration" in one["text"]]
+    return *spread(m["sweeps"] for m in found), *spread(m["%"] / m["Δt, 20 sweeps, %"] for m in found)
 
 
 def energy_of_smaller_step() -> tuple[float, float]:
     """The least and the most times that the smaller step's kinetic-energy curve is as far off as that of 20 sweeps."""
-    found = (
-        one["measured"]
-        for one in stored("figure_6_11")["claims"]
-        if "energy" in one["text"]
-    )
+    found = (one["measured"] for one in stored("figure_6_11")["claims"] if "energy" in one["text"])
     return spread(m["smaller step"] / m["20 sweeps, %"] for m in found)
 
 
 def safe(engine: str, *quantities: str) -> list[float]:
     """The largest values of Figure 6.6 up to which quantities are safe."""
-    return [
-        float(str(cell("figure_6_6", name, f"{engine}: safe")).split(" ")[-1])
-        for name in quantities
-    ]
+    return [float(str(cell("figure_6_6", name, f"{engine}: safe")).split(" ")[-1]) for name in quantities]
 
 
 def saved(row: str) -> float:
@@ -223,19 +174,12 @@ def saved(row: str) -> float:
 
 def in_own_runs(*starts: str) -> list[float]:
     """Mean sweeps to the threshold of starts in runs of their own (Figure 3.8)."""
-    return [
-        stored("figure_3_8")["data"]["independent"][start]["sweeps"]["mean"]
-        for start in starts
-    ]
+    return [stored("figure_3_8")["data"]["independent"][start]["sweeps"]["mean"] for start in starts]
 
 
 def lost(way: str) -> float:
     """Relative change of impulses on a way through the grid, by poly6 at d = h = 0.5 m (Figure 6.3)."""
-    (row,) = (
-        r
-        for r in stored("figure_6_3")["data"]["rows"]
-        if (r["kernel"], r["d"], r["h"]) == ("poly6", 0.5, 0.5)
-    )
+    (row,) = (r for r in stored("figure_6_3")["data"]["rows"] if (r["kernel"], r["d"], r["h"]) == ("poly6", 0.5, 0.5))
     return row[way]
 
 
@@ -271,29 +215,17 @@ def without_past() -> tuple:
     by_size = []
     for size in ("10,000", "3,000", "1,000"):
         found = [value for name, value in cells.items() if name.startswith(f"{size} ")]
-        by_size += [
-            sum(value[0] <= 0.7 and value[2] < 0.85 for value in found),
-            len(found),
-        ]
-    largest = spread(
-        value[0] for name, value in cells.items() if name.startswith("10,000 ")
-    )
+        by_size += [sum(value[0] <= 0.7 and value[2] < 0.85 for value in found), len(found)]
+    largest = spread(value[0] for name, value in cells.items() if name.startswith("10,000 "))
     prices = [
-        (timed["price"]["learned support"] - timed["price"]["support"])
-        / timed["sweeps"]["NesterovPGS"][1]
+        (timed["price"]["learned support"] - timed["price"]["support"]) / timed["sweeps"]["NesterovPGS"][1]
         for timed in stored("figure_6_14")["data"]["times"]
         if timed["n_bodies"] == 1000
     ]
     return *largest, measured["cells"], measured["wins"], *by_size, np.mean(prices)
 
 
-def width(
-    friction: float = 0.5,
-    circles: int = 100,
-    *,
-    scene: str = "resting",
-    radii: str = "0.8",
-) -> float:
+def width(friction: float = 0.5, circles: int = 100, *, scene: str = "resting", radii: str = "0.8") -> float:
     """Figure 6.15: of the interval of the median contact of resting circles, over the mean λ_n."""
     name = f"{circles} circles, {scene}, μ = {friction:g}, radii from {radii} m"
     return claim("figure_6_15", "interval of the median")[name]
@@ -323,35 +255,18 @@ def both_ways() -> tuple[int, int]:
     """Claims on SPH that were judged for both ways back, and how many of their verdicts are another by spline."""
     printed, spline = READ.values()
     pairs = []
-    for stem in (
-        "figure_3_8",
-        "figure_5_4",
-        "figure_5_5",
-        "figure_5_6",
-        "figure_5_7",
-        "figure_5_9",
-    ):
+    for stem in ("figure_3_8", "figure_5_4", "figure_5_5", "figure_5_6", "figure_5_7", "figure_5_9"):
         holds = {claim["text"]: claim["holds"] for claim in stored(stem)["claims"]}
-        other = {
-            text.replace(spline, printed): value
-            for text, value in holds.items()
-            if spline in text
-        }
-        pairs += [
-            (holds[text], value) for text, value in other.items() if text in holds
-        ]
+        other = {text.replace(spline, printed): value for text, value in holds.items() if spline in text}
+        pairs += [(holds[text], value) for text, value in other.items() if text in holds]
     return len(pairs), sum(one is not other for one, other in pairs)
 
 
 def times_builtin(network: str) -> float:
     """Time of a network's start to θ < 6e-5 in piles of 100 circles, over that of Builtin's (Figure 5.10)."""
     named = f"100 circles, CNN ({network})"
-    claims = (
-        one for one in stored("figure_5_10")["claims"] if one["text"].startswith(named)
-    )
-    (found,) = (
-        one["measured"][RATIO][0] for one in claims if "not efficient" in one["text"]
-    )
+    claims = (one for one in stored("figure_5_10")["claims"] if one["text"].startswith(named))
+    (found,) = (one["measured"][RATIO][0] for one in claims if "not efficient" in one["text"])
     return found
 
 
@@ -373,14 +288,8 @@ PEAK = 11.3e12
 
 def training_work() -> tuple[float, float]:
     """PFLOP of the thesis's training, a state forward and back being three times forward, and % of `PEAK` for a day."""
-    layers = (
-        layer
-        for layer in stored("table_5_1")["data"]["built"]
-        if layer["kernel"] or layer["kind"] == "Dense"
-    )
-    forward = sum(
-        2 * layer["parameters"] * math.prod(layer["shape"][:-1]) for layer in layers
-    )
+    layers = (layer for layer in stored("table_5_1")["data"]["built"] if layer["kernel"] or layer["kind"] == "Dense")
+    forward = sum(2 * layer["parameters"] * math.prod(layer["shape"][:-1]) for layer in layers)
     work = 3 * forward * THESIS_VISITS
     return work / 1e15, 100 * work / PEAK / 86400
 
@@ -405,32 +314,17 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         (
             "natively (version 3.2.0, not yet released, gcc 12.2, -O3 -mavx2) it takes {:.2f} to {:.2f} of its package's time, "
             "version 3.1.1, which the package has, {:.2f} to {:.2f}. With the former the range is {:.1f} to {:.1f}",
-            lambda: [
-                *spread(native_share("head-avx2")),
-                *spread(native_share("v3.1.1-avx2")),
-                *rivals_with_native(),
-            ],
+            lambda: [*spread(native_share("head-avx2")), *spread(native_share("v3.1.1-avx2")), *rivals_with_native()],
         ),
-        (
-            "rival takes {:.1f} to {:.1f} times as long as ours for the same preset",
-            lambda: walls()[:2],
-        ),
-        (
-            "`accuracy=` takes keeps its preset in {} of {} cases, in {} within the interval of the seeds",
-            lambda: walls()[2:],
-        ),
+        ("rival takes {:.1f} to {:.1f} times as long as ours for the same preset", lambda: walls()[:2]),
+        ("`accuracy=` takes keeps its preset in {} of {} cases, in {} within the interval of the seeds", lambda: walls()[2:]),
         (
             "Mass ratios of {:g}, columns of {:,.0f} circles and coordinates of {:g} m are safe",
-            lambda: safe(
-                "ours", "mass ratio, heavy on light", "column height", "coordinate"
-            ),
+            lambda: safe("ours", "mass ratio, heavy on light", "column height", "coordinate"),
         ),
         (
             "sleeps costs 1/{:.0f} of one that is awake, and a sweep without friction 1/{:.1f} of one with it",
-            lambda: [
-                saved("asleep: a step"),
-                saved("no tangent rows, no spin: a sweep, 100 circles"),
-            ],
+            lambda: [saved("asleep: a step"), saved("no tangent rows, no spin: a sweep, 100 circles")],
         ),
         (
             "checked on {} kinds and sizes of scenes outside the study, from 100 to 10,000 circles: other seeds, radii, "
@@ -443,13 +337,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         (
             "Safe are mass ratios to {:g}, radius ratios to {:,.0f}, columns of {:,.0f} circles, pyramids of {:.0f} "
             "rows",
-            lambda: safe(
-                "ours",
-                "mass ratio, heavy on light",
-                "radius ratio",
-                "column height",
-                "pyramid rows",
-            ),
+            lambda: safe("ours", "mass ratio, heavy on light", "radius ratio", "column height", "pyramid rows"),
         ),
         (
             "to {:g} s, speeds to {:g} m/s and coordinates to {:g} m",
@@ -457,36 +345,19 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
         (
             "safe to a mass ratio of {:.0f}, columns of {:.0f} circles and pyramids of {:.0f} rows",
-            lambda: safe(
-                "Box2D 2.3",
-                "mass ratio, heavy on light",
-                "column height",
-                "pyramid rows",
-            ),
+            lambda: safe("Box2D 2.3", "mass ratio, heavy on light", "column height", "pyramid rows"),
         ),
-        (
-            "has {} to {} sweeps and {:.2f} to {:.2f} of the deepest penetration",
-            smaller_step,
-        ),
-        (
-            "is {:.1f} to {:.1f} times as far from the reference's as that of 20 sweeps",
-            energy_of_smaller_step,
-        ),
+        ("has {} to {} sweeps and {:.2f} to {:.2f} of the deepest penetration", smaller_step),
+        ("is {:.1f} to {:.1f} times as far from the reference's as that of 20 sweeps", energy_of_smaller_step),
         (
             "mean penetration of {:.2f} % of r at rest, one step with the whole slop {:.2f} %",
-            lambda: [
-                penetration(dt=0.005, most_substeps=8, slop=0.25),
-                penetration(dt=0.01),
-            ],
+            lambda: [penetration(dt=0.005, most_substeps=8, slop=0.25), penetration(dt=0.01)],
         ),
         (
             "Radii that differ {:,.0f} times degrade",
             lambda: [float(cell("figure_6_6", "radius ratio", "ours: degraded"))],
         ),
-        (
-            "eight substeps, and takes {:.1f} in the mean",
-            lambda: [claim("figure_6_13", "by motion")["substeps"]],
-        ),
+        ("eight substeps, and takes {:.1f} in the mean", lambda: [claim("figure_6_13", "by motion")["substeps"]]),
     ],
     "README.md": [
         ("pymunk takes {:.1f} to {:.1f} times as long", rivals),
@@ -498,43 +369,25 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "loses {:.2f} of the impulse of an isolated contact and {:.2f} of those of a falling pile",
             lambda: [lost("isolated, thesis"), lost("pile, thesis")],
         ),
-        (
-            "*sph* takes {:,.0f} sweeps, more than *none* with {:,.0f}",
-            lambda: in_own_runs("sph", "none"),
-        ),
+        ("*sph* takes {:,.0f} sweeps, more than *none* with {:,.0f}", lambda: in_own_runs("sph", "none")),
         ("field of ones, {:.0e} on the pile", lambda: [lost("pile, consistent")]),
-        (
-            "weights that sum to one, {:.0e}. This",
-            lambda: [lost("pile, authors' sharing")],
-        ),
-        (
-            "for the SPH image: {:.2f} on the pile",
-            lambda: [lost("pile, authors' spline")],
-        ),
+        ("weights that sum to one, {:.0e}. This", lambda: [lost("pile, authors' sharing")]),
+        ("for the SPH image: {:.2f} on the pile", lambda: [lost("pile, authors' spline")]),
     ],
     "starts.md": [
         (
             "μ = 0.5, an interval of {:.1f} times the mean λ_n (without friction {:.2f}), of 1,000 circles {:.0f}",
             lambda: [width(), width(0), width(circles=1000)],
         ),
-        (
-            "Solvers from other starts end {:.2f} of the mean λ_n",
-            lambda: elsewhere()[:1],
-        ),
+        ("Solvers from other starts end {:.2f} of the mean λ_n", lambda: elsewhere()[:1]),
         ("ends {:.3f} from them and {:.2f} off in velocity", lambda: elsewhere()[1:]),
         (
             "3 sweeps from the network are worth {:.1f} of the best classical setting, 10 are worth {:.1f} and 30 are "
             "worth {:.1f}",
             worth,
         ),
-        (
-            "takes the time of {:.0f} sweeps, for 1,000 circles",
-            lambda: [price(1000)["in sweeps"]],
-        ),
-        (
-            "Of {} cases it was sooner at an error in {}",
-            lambda: [break_even()["cases"], break_even()["wins"]],
-        ),
+        ("takes the time of {:.0f} sweeps, for 1,000 circles", lambda: [price(1000)["in sweeps"]]),
+        ("Of {} cases it was sooner at an error in {}", lambda: [break_even()["cases"], break_even()["wins"]]),
         ("This one saves {:.1f}, {:.1f} and {:.1f}, so", lambda: worth() - AFTER),
         (
             "it takes {:.2f} to {:.2f} of the time of the best classical setting, the support included. Of {} cells "
@@ -546,28 +399,17 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     "thesis.md": [
         (
             "scene an interval of {:.2f} times the mean λ_n, so that no network can promise an error below {:.2f}",
-            lambda: (
-                width(scene="thesis", radii="1"),
-                width(scene="thesis", radii="1") / 2,
-            ),
+            lambda: (width(scene="thesis", radii="1"), width(scene="thesis", radii="1") / 2),
         ),
         (
             "is faster than Builtin at sweeps {} to {} (Figure 5.9)",
-            lambda: sweeps(
-                "figure_5_9", "CNN (model.h5) converges faster than Builtin"
-            ),
+            lambda: sweeps("figure_5_9", "CNN (model.h5) converges faster than Builtin"),
         ),
         ("it takes {:.1f} times Builtin's time;", lambda: [times_builtin("model.h5")]),
-        (
-            "Of {} claims on SPH that were judged both ways, {} have another verdict by spline",
-            both_ways,
-        ),
+        ("Of {} claims on SPH that were judged both ways, {} have another verdict by spline", both_ways),
         (
             "Bilinear, it converges faster than Builtin at sweeps {} to {}, by spline at sweeps {} to {} (Figure 3.8)",
-            lambda: (
-                ahead("figure_3_8", "sph", "builtin")
-                + ahead("figure_3_8", "sph spline", "builtin")
-            ),
+            lambda: ahead("figure_3_8", "sph", "builtin") + ahead("figure_3_8", "sph spline", "builtin"),
         ),
         (
             "bilinear SPH is slower at sweeps {} to {:,} of Figure 3.8 and {} to {} of Figure 5.7, by spline at none of "
@@ -582,21 +424,13 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         (
             "θ at most half of Builtin's, it has at sweeps {} to {}, or {} to {} by spline (Figure 5.7)",
             lambda: [
-                *sweeps(
-                    "figure_5_7",
-                    "bilinear (printed), gets convergence much faster than Builtin",
-                )[:2],
-                *sweeps(
-                    "figure_5_7",
-                    "spline (authors' code), gets convergence much faster than Builtin",
-                )[:2],
+                *sweeps("figure_5_7", "bilinear (printed), gets convergence much faster than Builtin")[:2],
+                *sweeps("figure_5_7", "spline (authors' code), gets convergence much faster than Builtin")[:2],
             ],
         ),
         (
             "with one that loses nothing it is faster up to sweep {:,}",
-            lambda: sweeps(
-                "figure_3_8", "with the consistent transfer SPH is faster than Builtin"
-            )[1:],
+            lambda: sweeps("figure_3_8", "with the consistent transfer SPH is faster than Builtin")[1:],
         ),
         (
             "leaves {:.2f} of the θ of d = h = 0.5 m after 100 sweeps, with an interval of {:.2f} to {:.2f}",
@@ -612,10 +446,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
         (
             "d = 0.25 m is the fastest by bilinear spiky at sweeps {} to {};",
-            lambda: sweeps(
-                "figure_5_5",
-                "bilinear (printed), is a bit faster than any other of 0.25 to 0.75 m",
-            ),
+            lambda: sweeps("figure_5_5", "bilinear (printed), is a bit faster than any other of 0.25 to 0.75 m"),
         ),
         ("was shown 1/{:.1f} as many states", lambda: [training_share()]),
         (
@@ -625,32 +456,15 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         (
             "its θ after 100 sweeps is {:.2f} of None's, {:.2f} read as in their code (Figure 5.9)",
             lambda: [
-                ratio_after(
-                    "figure_5_9", f"CNN (thesis_factored.h5){read} is a start", 100
-                )[0]
+                ratio_after("figure_5_9", f"CNN (thesis_factored.h5){read} is a start", 100)[0]
                 for read in READ_NETWORK.values()
             ],
         ),
-        (
-            "alone takes {:.0f} times Builtin's time to θ < 6e-5",
-            lambda: [by_tree()[RATIO][0]],
-        ),
-        (
-            "compiled here, {:.2f} of it",
-            lambda: [
-                by_tree()["mean compiled here, ms"] / by_tree()["mean builtin, ms"]
-            ],
-        ),
+        ("alone takes {:.0f} times Builtin's time to θ < 6e-5", lambda: [by_tree()[RATIO][0]]),
+        ("compiled here, {:.2f} of it", lambda: [by_tree()["mean compiled here, ms"] / by_tree()["mean builtin, ms"]]),
         (
             "angular momentum to {:.2f} % (Figure 6.3)",
-            lambda: [
-                100
-                * float(
-                    np.mean(
-                        stored("figure_6_3")["data"]["by scene"]["angular momentum"]
-                    )
-                )
-            ],
+            lambda: [100 * float(np.mean(stored("figure_6_3")["data"]["by scene"]["angular momentum"]))],
         ),
         ("are {:.0f} PFLOP, over a day {:.0f} % of the card's peak", training_work),
     ],
@@ -665,21 +479,11 @@ GIVEN: dict[str, list[str]] = {
             "restitutions of 0.3 and 0.8",
             "Wall time of 10 ms, the mean over a run of 6 s",
         ),
-        *(
-            "by at most 1 % of its initial value",
-            "Δt is 10 ms",
-            "below 3 % of a mean radius",
-            "steps of 0.625 ms",
-        ),
+        *("by at most 1 % of its initial value", "Δt is 10 ms", "below 3 % of a mean radius", "steps of 0.625 ms"),
     ],
     "benchmarks.md": ["ω = 1.5", "61 × 61 nodes"],
     "guide.md": ["0.01 s for r = 1 m", "takes 2.6 GB", "takes 0.6 GB"],
-    "other_starts.md": [
-        "Δt = 0.01 s",
-        "1.75 | 1.45",
-        "ω = 1.75 for the normal and 1.45 for",
-        "d = h = 0.5 m",
-    ],
+    "other_starts.md": ["Δt = 0.01 s", "1.75 | 1.45", "ω = 1.75 for the normal and 1.45 for", "d = h = 0.5 m"],
     "solvers.md": ["9.81 m/s² and Δt = 0.01 s", "√1000 times", "more than 100 times"],
     "thesis.md": [
         *("95 %", "d = 0.75 m with h = 0.5 m", "of d = h = 0.5 m"),
@@ -701,14 +505,8 @@ def pattern(template: str) -> re.Pattern:
 def filled(page: str, text: str) -> str:
     """The text of a page with the numbers of its sentences. Raises ValueError for a sentence that is not there once."""
     for template, numbers in SENTENCES.get(page, ()):
-        specs = [
-            spec
-            for _, field, spec, _ in Formatter().parse(template)
-            if field is not None
-        ]
-        values = [
-            _written(value, spec) for value, spec in zip(numbers(), specs, strict=True)
-        ]
+        specs = [spec for _, field, spec, _ in Formatter().parse(template) if field is not None]
+        values = [_written(value, spec) for value, spec in zip(numbers(), specs, strict=True)]
 
         def sentence(match: re.Match, values=values) -> str:
             pieces = list(match.groups())
@@ -717,24 +515,16 @@ def filled(page: str, text: str) -> str:
 
         text, times = pattern(template).subn(sentence, text)
         if times != 1:
-            raise ValueError(
-                f"{page}: expected one sentence with {template!r}, got {times}"
-            )
+            raise ValueError(f"{page}: expected one sentence with {template!r}, got {times}")
     return text
 
 
 def _written(value, spec: str) -> str:
     """A number as the pages write it: 1e8, not 1e+08."""
-    return re.sub(
-        r"e([+-]?)0*(\d)",
-        lambda match: f"e{match[1].strip('+')}{match[2]}",
-        format(value, spec),
-    )
+    return re.sub(r"e([+-]?)0*(\d)", lambda match: f"e{match[1].strip('+')}{match[2]}", format(value, spec))
 
 
-MEASURED = re.compile(
-    rf"(?<![\w.])(?:\d[\d,]*\.\d+(?:e-?\d+)?|{NUMBER}(?=\s*(?:%|×|times\b|[mµn]?s\b)))(?![\w.]*\d)"
-)
+MEASURED = re.compile(rf"(?<![\w.])(?:\d[\d,]*\.\d+(?:e-?\d+)?|{NUMBER}(?=\s*(?:%|×|times\b|[mµn]?s\b)))(?![\w.]*\d)")
 
 
 NAMES = r"\b(?:Figures?|Tables?|Eq|sections?|chapters?|Python|Siconos|Box2D|Keras|Python 3.10 and)\s\d+(?:\.\d+)+"
@@ -743,20 +533,8 @@ NAMES = r"\b(?:Figures?|Tables?|Eq|sections?|chapters?|Python|Siconos|Box2D|Kera
 
 def unexplained(page: str, text: str) -> list[str]:
     """The numbers of a page's prose that look measured and are in no sentence of SENTENCES or GIVEN."""
-    for names in (
-        r"^```.*?^```",
-        r"^\|.*?$",
-        r"<!--.*?-->",
-        r"^#.*?$",
-        r"`[^`]*`",
-        r"\]\([^)]*\)",
-    ):
-        text = re.sub(
-            names, "", text, flags=re.MULTILINE | (re.DOTALL if "`" in names else 0)
-        )
-    for template in [
-        *(template for template, _ in SENTENCES.get(page, ())),
-        *GIVEN.get(page, ()),
-    ]:
+    for names in (r"^```.*?^```", r"^\|.*?$", r"<!--.*?-->", r"^#.*?$", r"`[^`]*`", r"\]\([^)]*\)"):
+        text = re.sub(names, "", text, flags=re.MULTILINE | (re.DOTALL if "`" in names else 0))
+    for template in [*(template for template, _ in SENTENCES.get(page, ())), *GIVEN.get(page, ())]:
         text = pattern(template).sub("", text)
     return [match[0] for match in MEASURED.finditer(re.sub(NAMES, "", text))]
