@@ -11,7 +11,7 @@ ensure_venv ""
 cat <<END
 
 Two pictures: figures/figure_3_6.png, figures/figure_5_7.png. Go on with
-  $PYTHON -m deep_contact view                      # watch a pile fall
+  $PYTHON -m deep_contact simulate --accuracy fast --out pile.gif  # a film of a pile that falls
   $PYTHON -m deep_contact simulate --bodies 100 --accuracy fast --out run.h5
-  $PYTHON -m deep_contact figure 3.3                # any figure or table by its number; without one, what there is
+  $PYTHON -m deep_contact figure 3.3  # any figure or table by its number; without one, what there is
 END

@@ -15,7 +15,7 @@ from unittest.mock import patch
 import pytest
 from conftest import ROOT, run_python
 
-import deep_contact
+import deep_contact.__main__
 
 sys.path.insert(0, str(ROOT / "docs"))
 import measured
@@ -44,6 +44,13 @@ COMMANDS = dict.fromkeys(line for line in LINES if line.strip() and not line.sta
 def test_readme_is_one_page_and_the_documentation_at_most_100_kilobytes():
     assert README.stat().st_size <= 8 * 1024
     assert sum(path.stat().st_size for path in DOCS.glob("*.md")) <= 100_000
+
+
+def test_commands_that_are_named_exist():
+    named = " ".join([*TEXTS.values(), (ROOT / "scripts" / "quickstart.sh").read_text(encoding="utf-8")])
+    commands = set(re.findall(r"(?:-m deep_contact|deep-contact) ([a-z]+(?:-[a-z]+)*)", named))
+    assert "simulate" in commands
+    assert commands <= set(deep_contact.__main__.COMMANDS)
 
 
 def test_tables_and_sentences_have_the_numbers_of_the_results_files():

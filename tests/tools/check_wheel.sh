@@ -99,7 +99,7 @@ programs=("$source"/docs/gallery/predict_impulses.py)
 for program in "${programs[@]}"; do
     mkdir "${program##*/}" && (cd "${program##*/}" && python "$program" > printed.txt)
 done
-for file in later.xml run.h5 predictions/rest_362.csv view.gif trained/model.h5 figures/figure_5_3.png figures/table_5_1.json; do
+for file in later.xml run.h5 predictions/rest_362.csv film.gif trained/model.h5 figures/figure_5_3.png figures/table_5_1.json; do
     [ -s "$file" ] || { echo "$file: expected a file, got none"; exit 1; }
 done
 
