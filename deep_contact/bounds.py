@@ -132,7 +132,7 @@ def _measured(state: StateWithContacts, loads: Mapping) -> tuple[np.ndarray, np.
 def _side_by_side(state: StateWithContacts, wanted: Sequence[int]) -> np.ndarray:
     """An order of contacts in which each lies beside the one before: up a strip of the scene and down the next one.
 
-    The solutions of neighbours differ little, so that simplex takes a fifth of the steps.
+    The solutions of neighbours differ little, so that simplex gets from one to the next in fewer steps.
     """
     position = state.contacts.position[wanted]
     strip = np.floor(position[:, 0] / (4.0 * state.bodies.radius.mean()))

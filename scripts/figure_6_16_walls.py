@@ -92,8 +92,10 @@ def worst(row, preset, end=VALUE):
 
 
 def verdict(one, preset):
-    """A ratio, or who keeps a preset: "ours" if no rival does at the lower ends of its errors either, "undecided" if
-    one may, "a rival", or "none"."""
+    """[ratio, low, high] where both keep a preset; else who does: "ours", "undecided", "a rival" or "none".
+
+    Undecided: ours does, and a rival at the lower ends of its errors.
+    """
     row = one["presets"][list(PRESETS).index(preset)]
     mine, theirs = row["kinds"]["plain"], [other for other in one["rows"] if "engine" in other["setting"]]
     if mine and any(row["peers"].values()):
@@ -115,9 +117,10 @@ def claims(data):
         who = {who: [name for name, one in verdicts.items() if one == who] for who in ("ours", "undecided", "a rival")}
         text = f"ours keeps what a rival keeps, {n:,} circles"
         yield Claim(text, None, not who["a rival"], {f"{name} alone": "; ".join(which) for name, which in who.items()})
-        taken = {name: [row for row in one["rows"] if row["name"] == one["chosen"][preset]]
-                 for name, (one, preset) in cells.items()}  # fmt: skip
-        over = {name: [worst(row, cells[name][1], end) for end in (VALUE, LOW)] for name, (row, *_) in taken.items()}
+        over = {}
+        for name, (one, preset) in cells.items():
+            taken = next(row for row in one["rows"] if row["name"] == one["chosen"][preset])
+            over[name] = [worst(taken, preset, end) for end in (VALUE, LOW)]
         missed = {name: both for name, both in over.items() if both[0] > 1}
         measured = {
             "of": len(over),
