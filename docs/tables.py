@@ -84,22 +84,6 @@ def many() -> list[list]:
     return rows
 
 
-def outside() -> list[list]:
-    """Milliseconds of every method on every problem; in brackets where its error missed the tolerance."""
-    found = stored("benchmark_outside")
-    rows = [["method", *(f"{title}, {contacts:,} contacts" for title, contacts in found["contacts"].items())]]
-    names = next(iter(found["seconds"].values()))
-    for name in names:
-        cells = []
-        for title, seconds in found["seconds"].items():
-            text = "–" if seconds[name] is None else _text(1e3 * seconds[name])
-            error = found["error"][title][name]
-            missed = seconds[name] is not None and not (error is not None and error <= found["tolerance"])
-            cells.append(f"({text})" if missed else text)
-        rows.append([name, *cells])
-    return rows
-
-
 def noticed() -> list[list]:
     """What was done to find what the tests overlook."""
     fuzz = stored("fuzz")["targets"]
@@ -298,7 +282,7 @@ In the list of elements *right* says that an element was derived or measured her
 there is nothing to check.
 """
 
-_MADE = (engine, runs, many, outside, noticed, presets, rivals, kinds, missed, figures)
+_MADE = (engine, runs, many, noticed, presets, rivals, kinds, missed, figures)
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True, holding=False),

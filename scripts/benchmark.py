@@ -3,17 +3,13 @@
 NAME   what is timed
 engine ours beside Box2D 2.3, pymunk and Box2D v3 on the same piles: the cost of a sweep, of a step, and the overhead
 step   whole steps of ours by PGS and by colours, on one thread and on two; memory; many small piles
-outside  FILE …: fc2d files, or piles of our own, to Siconos's error, by our solvers, Siconos and pinocchio
 
-Nothing else should run meanwhile; OPENBLAS_NUM_THREADS=1 for `outside`, which times the processor. The result
-is data/reference's benchmark_NAME.json. pinocchio 4 and Debian's Siconos need different NumPys: run where one is, then
---add where the other is, with --only and one of ours in both.
+Nothing else should run meanwhile. The result is data/reference's benchmark_NAME.json.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -26,13 +22,10 @@ import numpy as np
 import deep_contact as dc
 from deep_contact import peers
 from deep_contact.compiled import team
-from deep_contact.io.fc2d import read_problem
-from deep_contact.io.files import write_json
-from deep_contact.physics.lcp import check_problem, contact_problem, siconos_error
 from deep_contact.physics.solvers import PGS, BatchedPGS
 from deep_contact.reporting import results
 from deep_contact.state import State
-from deep_contact.studies import piles, rivals, timing
+from deep_contact.studies import piles, timing
 
 TIME_STEP, POSITION_SWEEPS = 0.01, 3
 FEW, MANY = 10, 100
@@ -42,8 +35,6 @@ WARM_UP = 10
 """Steps of each engine before timing: caches, search for pairs and starting impulses settle."""
 LARGE = 100_000
 """Circles from which on piles are packed instead of dropped."""
-MOST = 20.0
-"""Seconds beyond which a solver of `outside` runs once, and on no larger problem."""
 
 
 def fixed_sweeps(sweeps: int, method=PGS, **options):
@@ -226,54 +217,13 @@ def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
     return {"cores": team.cores(), "us": us}
 
 
-# ---- solvers of others ----
-
-
-def added(args, rerun: dict) -> dict:
-    """The rows of the file that is there, and those of this run; ours of this run as "…, again"."""
-    first = json.loads(args.out.read_text(encoding="utf-8"))
-    for key in ("tolerance", "contacts"):
-        if first[key] != rerun[key]:
-            raise ValueError(f"{key}: expected {first[key]} as in the first run, got {rerun[key]}")
-    for table in ("seconds", "error"):
-        for title, row in first[table].items():
-            row |= {f"{name}, again" if name in row else name: one for name, one in rerun[table][title].items()}
-    return first | {"second_provenance": results.provenance(seed=args.seed)}
-
-
-def outside(args) -> dict:
-    """Processor time of every solver on every problem, and Siconos's error of what it returned; None beyond `MOST`."""
-    solvers = rivals.methods(args.tolerance)
-    solvers = {name: solve for name, solve in solvers.items() if name in (args.only or solvers)}
-    problems = {Path(path).name.split(".")[0]: read_problem(path) for path in args.files}
-    for count in args.sizes:
-        state = piles.states_of(piles.pile("settling", count, args.seed), count=1)[0]
-        problems[f"settling pile of {count}"] = check_problem(contact_problem(state))
-    seconds, errors, slow = {}, {}, set()
-    for title, problem in sorted(problems.items(), key=lambda item: item[1].friction.size):
-        runs = {name: partial(solve, problem) for name, solve in solvers.items() if name not in slow}
-        first = {name: timing.timed(run, time.process_time) for name, run in runs.items()}
-        slow |= {name for name, (took, _) in first.items() if took > MOST}
-        rest = {name: run for name, run in runs.items() if name not in slow}
-        least = timing.interleaved(rest, repeats=args.repeats, clock=time.process_time)
-        seconds[title] = {name: least.get(name, first[name][0] if name in first else None) for name in solvers}
-        residual = {name: siconos_error(problem, impulse) for name, (_, impulse) in first.items()}
-        errors[title] = {name: min(residual[name], 1.0) if name in residual else None for name in solvers}  # NaN is 1.0
-        say(f"{title}, {problem.friction.size} contacts", seconds[title])
-    contacts = {title: int(problems[title].friction.size) for title in seconds}
-    table = {"tolerance": args.tolerance, "contacts": contacts, "seconds": seconds, "error": errors}
-    return added(args, table) if args.add else table
-
-
 BENCHMARKS = {
     "engine": (engine, [100, 1000, 10_000], 5),
     "step": (step, [100, 1000, 3000, 10_000, 100_000, 1_000_000], 10),
-    "outside": (outside, [100, 300], 5),
 }
 """Name -> function, sizes and repeats; of the sizes a quick run has the first two."""
 
 TITLES = {"engine": "Cost of a sweep and of a step, against other engines", "step": "Time of a step in a run"}
-"""Those whose file is a results file."""
 
 
 def say(name: str, values: dict) -> None:
@@ -285,14 +235,10 @@ def main(arguments=None) -> None:
     """Run a benchmark and write its file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("name", choices=BENCHMARKS, help="what is timed")
-    parser.add_argument("files", nargs="*", type=Path, help="of outside: fc2d files")
     parser.add_argument("--out", type=Path, help="the file (build/results/benchmark_NAME.json)")
     parser.add_argument("--sizes", type=int, nargs="*", help="numbers of circles")
     parser.add_argument("--repeats", type=int, help="timed runs")
     parser.add_argument("--seed", type=int, default=0, help="of the piles")
-    parser.add_argument("--tolerance", type=float, default=1e-5, help="Siconos's error that is asked for")
-    parser.add_argument("--only", nargs="*", metavar="SOLVER", help="solvers of outside")
-    parser.add_argument("--add", action="store_true", help="add the solvers to the file that is there")
     parser.add_argument("--quick", action="store_true", help="smaller piles, fewer steps")
     args = parser.parse_args(arguments)
     run, sizes, repeats = BENCHMARKS[args.name]
@@ -303,17 +249,14 @@ def main(arguments=None) -> None:
     args.out = args.out or Path(f"build/results/benchmark_{args.name}.json")
     begun = time.perf_counter()
     data = run(args)
-    made = {"provenance": results.provenance(seed=args.seed, wall_s=time.perf_counter() - begun)}
-    if args.name in TITLES:
-        options = {name: getattr(args, name) for name in ("sizes", "repeats", "quick")}
-        options |= {"sweeps": [FEW, MANY], "dt": TIME_STEP, "position_sweeps": POSITION_SWEEPS}
-        if args.name == "engine":
-            options["peers"] = {name: metadata.version(adapter.package) for name, adapter in peers.ENGINES.items()}
-        made |= {"id": f"B.{1 + list(TITLES).index(args.name)}", "title": TITLES[args.name], "options": options}
-        made |= {"claims": list(claims(data.get("cases", []))), "data": data}
-        results.write_results(args.out, made)
-    else:
-        write_json(args.out, made | data)  # of a file that is added to, the provenance of the first run
+    options = {name: getattr(args, name) for name in ("sizes", "repeats", "quick")}
+    options |= {"sweeps": [FEW, MANY], "dt": TIME_STEP, "position_sweeps": POSITION_SWEEPS}
+    if args.name == "engine":
+        options["peers"] = {name: metadata.version(adapter.package) for name, adapter in peers.ENGINES.items()}
+    made = {"id": f"B.{1 + list(TITLES).index(args.name)}", "title": TITLES[args.name], "options": options}
+    made |= {"provenance": results.provenance(seed=args.seed, wall_s=time.perf_counter() - begun)}
+    made |= {"claims": list(claims(data.get("cases", []))), "data": data}
+    results.write_results(args.out, made)
     print(f"written: {args.out}")
 
 

@@ -1,16 +1,14 @@
 """The contact problem as matrices, which the engine never builds.
 
-It is the form of the textbook, and that of problems from other programs (`io.fc2d`), where nothing is known of bodies.
+It is the form of the textbook, and that of problems from other programs, where nothing is known of bodies.
 `matrix_solvers` and `exact` solve it.
 """
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 
 from deep_contact.physics.engine import after_impacts
@@ -23,7 +21,7 @@ class ContactProblem(NamedTuple):
     """Find λ with 0 ≤ λ_n ⟂ (A λ + b)_n ≥ 0, and |λ_t| ≤ μ λ_n against the slip (A λ + b)_t (Eq 2.27, 2.29).
 
     r = 2 m; the rows of contact i are 2 i (normal) and 2 i + 1 (tangent). Where the bodies are not known, as in
-    problems that were read from a file of matrices, jacobian, inverse_mass and free_velocity are None.
+    problems of other programs, jacobian, inverse_mass and free_velocity are None.
     The thesis writes A = J M⁻¹ Jᵀ Δt because its λ is a force; ours is an impulse.
     """
 
@@ -78,34 +76,6 @@ def natural_residual(problem: ContactProblem, impulse: np.ndarray) -> float:
     wrong[::2] = impulse[::2] - np.maximum(free[::2], 0.0)
     wrong[1::2] = impulse[1::2] - np.clip(free[1::2], -largest, largest)
     return float(np.max(np.abs(wrong) * diagonal, initial=0.0))
-
-
-def siconos_error(problem: ContactProblem, impulse: np.ndarray) -> float:
-    """Siconos's relative error of a friction-contact problem: what its solvers' tolerance is compared with.
-
-    With z = λ − (u_n + μ |u_t|, u_t) for every contact: the distance of λ from the projection of z on the second-order
-    cone |λ_t| ≤ μ λ_n, 2-norm over all contacts, divided by the largest of ‖λ‖, ‖u‖ and ‖b‖. Impulses and velocities
-    are added as they are, so it depends on the units. (Acary, Brémond and Huber 2018, on the natural map.)
-    """
-    u = problem.A @ impulse + problem.b
-    scale = max(np.linalg.norm(impulse), np.linalg.norm(u), np.linalg.norm(problem.b))
-    return float(_cone_distance(impulse, u, problem.friction) / scale) if scale > 0 else 0.0
-
-
-@njit(cache=True)
-def _cone_distance(impulse, u, friction):
-    """‖λ − Π(z)‖ over all contacts, Π the projection on the cone of each: see `siconos_error`."""
-    total = 0.0
-    for i in range(friction.shape[0]):
-        mu, p_n, p_t = friction[i], impulse[2 * i], impulse[2 * i + 1]
-        z_n, z_t = p_n - u[2 * i] - mu * abs(u[2 * i + 1]), p_t - u[2 * i + 1]
-        if abs(z_t) > mu * z_n:
-            # On the nearer edge (1, ±μ) of the cone, or at its tip.
-            side = 1.0 if z_t > 0.0 else -1.0
-            along = max(0.0, (z_n + mu * abs(z_t)) / (1.0 + mu * mu))
-            z_n, z_t = along, side * mu * along
-        total += (p_n - z_n) ** 2 + (p_t - z_t) ** 2
-    return math.sqrt(total)
 
 
 def contact_problem(state: State) -> ContactProblem:

@@ -7,7 +7,6 @@ may differ from contact to contact. In exact arithmetic the sweeps are the engin
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -16,12 +15,9 @@ from scipy import sparse
 
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record, is_over
-from deep_contact.physics.lcp import ContactProblem, _cone_distance, check_problem
+from deep_contact.physics.lcp import ContactProblem, check_problem
 from deep_contact.physics.solvers import PGS, NesterovPGS, nesterov
 from deep_contact.validation import expect, floats, integer, number
-
-CHECK_EVERY = 10
-"""Sweeps between two looks at Siconos's error."""
 
 
 class Blocks(NamedTuple):
@@ -52,13 +48,12 @@ def blocks_of(problem: ContactProblem) -> Blocks:
 
 
 def solve_problem(
-    problem: ContactProblem, solver=None, start: np.ndarray | None = None, *, error: float | None = None
+    problem: ContactProblem, solver=None, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, ConvergenceRecord]:
     """Impulses of a contact problem with friction, (2 m,), and how the sweeps went. The problem stays as it is.
 
     solver: `PGS` (the default) or `NesterovPGS`; its tolerance is a number, or None. start: λ to start from, (2 m,); by
-    default 0. error: stop as well once `siconos_error` is no larger, looked at every `CHECK_EVERY` sweeps; the record's
-    status is "converged" then. Impulses are returned in the friction cone. Raises ValueError naming the argument.
+    default 0. Impulses are returned in the friction cone. Raises ValueError naming the argument.
     """
     solver = PGS(tolerance=None) if solver is None else solver
     fits = type(solver) in (PGS, NesterovPGS) and not solver.islands
@@ -66,14 +61,11 @@ def solve_problem(
     problem = check_problem(problem)
     impulse = np.zeros(problem.b.size) if start is None else floats("start", start, problem.b.shape)
     tolerance = -1.0 if solver.tolerance is None else number("tolerance", solver.tolerance, low=0)
-    error = -1.0 if error is None else number("error", error, above=0)
     theta = np.empty(integer("sweeps", solver.sweeps))
     blocks = blocks_of(problem)
     pairs = impulse.reshape(-1, 2)
-    done, met = _relax(blocks, pairs, tolerance, error, theta, isinstance(solver, NesterovPGS))
+    done = _relax(blocks, pairs, tolerance, theta, isinstance(solver, NesterovPGS))
     record = convergence_record(theta[:done], solver, blocks.mu.size)
-    if met and record.status == "max_sweeps":
-        record = record._replace(status="converged")
     return np.column_stack(projected(pairs[:, 0], pairs[:, 1], problem.friction)).ravel(), record
 
 
@@ -117,34 +109,19 @@ def velocities(blocks, impulse, u):
 
 
 @njit(cache=True)
-def is_met(blocks, impulse, error, k):
-    """Whether Siconos's error is within this one after the k-th sweep, counted from 0, if it is looked at there."""
-    if error < 0.0 or (k + 1) % CHECK_EVERY:
-        return False
-    u = np.empty_like(impulse)
-    inside = impulse.copy()
-    for i in range(impulse.shape[0]):
-        inside[i, 0] = max(inside[i, 0], 0.0)
-        largest = blocks.mu[i] * inside[i, 0]
-        inside[i, 1] = max(-largest, min(inside[i, 1], largest))
-    velocities(blocks, inside, u)
-    scale = math.sqrt(max((inside**2).sum(), max((u**2).sum(), (blocks.b**2).sum())))
-    return _cone_distance(inside.reshape(inside.size), u.reshape(u.size), blocks.mu) <= error * scale
+def _relax(blocks, impulse, tolerance, theta, has_momentum):
+    """Sweep, with the momentum of `solvers.nesterov` or without, to a tolerance, of which a negative one is never met.
 
-
-@njit(cache=True)
-def _relax(blocks, impulse, tolerance, error, theta, has_momentum):
-    """Sweep, with the momentum of `solvers.nesterov` or without, to a tolerance or an error, of which a negative one is
-    never met. Returns (sweeps, `is_met`)."""
+    Returns the number of sweeps.
+    """
     flat = impulse.reshape(impulse.size)
     last, swept_from, memory = flat.copy(), flat.copy(), nesterov.FIRST_MEMORY
     for k in range(theta.shape[0]):
         theta[k] = sweep(blocks, impulse)
-        met = is_met(blocks, impulse, error, k)
-        if is_over(theta[k], tolerance) or met or k + 1 == theta.shape[0]:
-            return k + 1, met
+        if is_over(theta[k], tolerance) or k + 1 == theta.shape[0]:
+            return k + 1
         if has_momentum:
             momentum, memory = nesterov.next_momentum(k, flat, swept_from, last, memory)
             nesterov.extrapolate(flat, last, momentum)
             swept_from[:] = flat
-    return theta.shape[0], False
+    return theta.shape[0]

@@ -24,8 +24,7 @@ STUDIES = {
 }
 """File of data/reference -> the script and options that write it; `--out` and the path follow."""
 
-BY_HAND = {"benchmark_outside": [_SCRIPTS / "benchmark.py", "outside"]}
-"""The same for what needs problems and solvers of others (docs/benchmarks.md says which)."""
+BY_HAND: dict[str, list] = {}
 
 RECORDS = ("box2d_native", "fuzz", "golden", "mutants", "mutants_late", "ratios_before", "run_tradeoff_verify", "soak")
 """Files that say what was done once, at their commit: they grow true of no later code, nor old."""

@@ -1,1 +1,1 @@
-"""What is measured: comparisons of starts, speed for accuracy, scaling, extremes, rivals."""
+"""What is measured: comparisons of starts, speed for accuracy, scaling, extremes."""

@@ -218,7 +218,6 @@ REFUSED = [
     (problem, {"jacobian": sparse.csr_array(np.ones((2, 4)))}, "jacobian: expected"),
     (swept, {"solver": dc.PGS(islands=True)}, "solver: expected"),
     (swept, {"solver": dc.PGS()}, "tolerance: expected"),
-    (swept, {"solver": dc.PGS(tolerance=None), "error": 0.0}, "error: expected"),
     (swept, {"solver": dc.PGS(tolerance=None), "start": np.zeros(3)}, "start: expected"),
     (solved_problem, {"state": TOUCHING}, r"state\.solved: expected"),
     # kernels, grids and transfers

@@ -92,7 +92,7 @@ def matrices(state):
 
 
 def swept_by_matrices(state, solver):
-    impulse, record = solve_problem(matrices(state), solver, error=1e-6)
+    impulse, record = solve_problem(matrices(state), solver)
     return describe(solver), {"impulse": impulse, "theta": record.theta}
 
 
