@@ -1,7 +1,6 @@
 """python scripts/figure_6_7_scene_requirements.py: what modelling only what a scene requires saves.
 
-Times are taken in this process, one after the other: nothing else should run meanwhile. `dc.plan` prints the results
-in `deep_contact/reference/figure_6_7.json`, a copy of this figure's results file.
+Times are taken in this process, one after the other: nothing else should run meanwhile.
 """
 
 import deep_contact as dc

@@ -1,10 +1,9 @@
-"""Plans: what a run uses and leaves out, said as `simulate` does it, with the savings read from Figure 6.7's file."""
+"""Plans: what a run uses and leaves out, said as `simulate` does it."""
 
 import pytest
 from numba import config
 
 import deep_contact as dc
-from deep_contact import planning
 from deep_contact.compiled import team
 
 COLUMN, FREE = dc.column(3), dc.column(3, friction=0.0)
@@ -43,12 +42,12 @@ def test_a_start_with_tangents_keeps_the_rows():
     assert dc.plan(state)[TANGENT].used
 
 
-def test_a_plan_prints_the_saving_of_the_stored_figure():
+def test_a_plan_prints_a_line_a_part():
     found = dc.plan(dc.circles_in_box(20, seed=1, friction=0.0), solver=dc.PGS(sweeps=10))
-    saved = planning.installed_results()["data"]["savings"]["frictionless"]
-    low, middle, high = (f"{100 / saved[name]:.3g}" for name in ("high", "ratio", "low"))
-    assert f"a sweep costs {middle} % ({low} to {high} %)" in str(found)
-    with pytest.raises(KeyError, match="expected one of tangent rows and spin, static segments, islands"):
+    title, tangents, *_ = str(found).splitlines()
+    assert title == "circles_20: 20 circles, PGS(sweeps=10, tolerance=6e-05) from builtin"
+    assert tangents.split() == [*TANGENT.split(), "left", "out", "friction", "is", "0"]
+    with pytest.raises(ValueError, match="part: expected one of tangent rows and spin, static segments, islands"):
         found["gravity"]
 
 
@@ -72,7 +71,6 @@ def test_a_plan_has_the_solver_of_the_run(scene, options):
     ],
 )
 def test_threads_are_planned_as_they_are_taken(n_bodies, solver, used, monkeypatch):
-    for module in (team, planning):
-        monkeypatch.setattr(module, "cores", lambda: 4)
+    monkeypatch.setattr(team, "cores", lambda: 4)
     monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 4)
     assert dc.plan(dc.lattice_in_box(n_bodies), solver=solver)["threads"].used == used

@@ -125,9 +125,7 @@ def test_a_pyramid_of_a_hundred_rows_stands_by_the_substeps_that_are_taken_for_i
     # With 10 sweeps, with 50, or with NNCG to a tolerance at whole steps its circles leave at 10 m/s after 300 steps.
     scene = pyramid(100)
     assert stiffness(scene).why == "a heap with slopes 87 circles high"
-    choice = dc.plan(scene)["solving stiff piles"]
-    assert choice.used
-    assert choice.saving == "it costs 8 substeps of 2 sweeps"
+    assert dc.plan(scene)["solving stiff piles"].used
     assert not dc.plan(scene, solver=dc.PGS(sweeps=50, tolerance=None))["solving stiff piles"].used
     state = dc.simulate(scene, steps=150).state
     assert metrics.penetration(state) < state.scales.slop

@@ -1,4 +1,4 @@
-"""What modelling only what a scene requires saves: measured here, drawn as Figure 6.7, printed by `dc.plan`.
+"""What modelling only what a scene requires saves: measured here, drawn as Figure 6.7.
 
 A saving is a ratio: the cost of the general way over the cost of the special way, in the same process, interleaved.
 It has the quartiles of the repeats' own ratios, or of the runs'. "apart" is what it costs in error: how far apart, m,

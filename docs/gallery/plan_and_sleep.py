@@ -1,6 +1,6 @@
 """Leave out what a scene does not need.
 
-For engine builders: `dc.plan` says which parts of the model a run uses, and what each of them was measured to cost.
+For engine builders: `dc.plan` says which parts of the model a run uses, which it leaves out, and why.
 With `sleep=True` heaps that rest are left alone; with `islands=True` each heap stops on its own.
 """
 
