@@ -15,10 +15,11 @@ if TYPE_CHECKING:
     from deep_contact import cnn, peers, physics, sph, warm_start
     from deep_contact.bounds import force_bounds
     from deep_contact.cnn.inference import load_model
+    from deep_contact.io.contacts_csv import contact_table
     from deep_contact.io.shipped import sample_file
     from deep_contact.io.state_xml import read_state, write_state
     from deep_contact.physics.exact import solve_exactly
-    from deep_contact.physics.forces import contact_table, coordination, forces, mean_stress, neighbours, stress
+    from deep_contact.physics.forces import coordination, forces, mean_stress, neighbours, stress
     from deep_contact.physics.scenes import (
         barrel,
         circles_in_box,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import types
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from pathlib import Path
 
 from deep_contact.constants import VERSION
 from deep_contact.io import shipped
-from deep_contact.io.files import FileError
+from deep_contact.io.files import FileError, check_writable
 from deep_contact.reporting import scripts
 
 # Whatever takes time to import is imported by the command that needs it: --help and --version are immediate.
@@ -139,6 +140,7 @@ def _simulate(args) -> int:
         fits = out.name.endswith((".xml", ".xml.gz", ".h5", ".gif", ".mp4"))
         expect(fits, f"--out: expected a file that ends in .xml, .xml.gz, .h5, .gif, .mp4, got {args.out!r}")
         expect(out.parent.is_dir(), f"--out: expected a folder that exists, got {str(out.parent)!r}")
+        check_writable(out)
     scene = _scene(args)
     record = args.every if out.suffix in (".h5", ".gif", ".mp4") else None
     run = dc.simulate(scene, steps=args.steps, dt=args.dt, record=record, **_method(args, scene))
@@ -186,12 +188,15 @@ def _trade(args) -> int:
 
     suffix = Path(args.out or "x.json").suffix
     expect(suffix in (".png", ".json"), f"--out: expected a file that ends in .png, .json, got {args.out!r}")
+    if args.out is not None:
+        check_writable(args.out)
     scene = args.state and dc.read_state(args.state)
     if scene is None:
         make = getattr(dc, one_of("--scene", args.scene, SCENES))
         make = make if args.bodies is None else partial(make, args.bodies)
         scene = lambda seed: make(seed=seed)  # noqa: E731
     names = ("steps", "seeds", "minutes", "engines", "jobs")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what has been measured is kept, as after Ctrl-C
     trade = dc.measure_trade(scene, **{name: getattr(args, name) for name in names})
     print(trade)
     if args.out is not None:

@@ -162,7 +162,7 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
             raise ValueError(f"budget_ms: expected at least {least / 1e3:.3g}, the cheapest setting, got {budget_ms}")
         best = min(affordable, key=lambda one: (excess(one["errors"], PRESETS["reference"]), one["us"]))
         name = ["preview", *(preset for preset, most in PRESETS.items() if excess(best["errors"], most) <= 1)][-1]
-    names, tolerances = ["", *PRESETS, ""], PRESETS[name]
+    names, tolerances = ["", *PRESETS, ""], dict(PRESETS[name])
     at = names.index(name)
     cheaper, better = (_neighbour(other, best, candidates) for other in (names[at - 1], names[at + 1]))
     return Recommendation(

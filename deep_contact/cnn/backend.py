@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+import threading
 from contextlib import contextmanager, suppress
 
 from deep_contact.validation import integer
@@ -12,11 +13,19 @@ from deep_contact.validation import integer
 _threads: int | None = None
 """What `limit_threads` asked for."""
 
+_importing = threading.RLock()
+"""Held while a package is imported: file descriptor 2 is the process's, and half a package is no package."""
+
 
 def __getattr__(name: str):
     """`from deep_contact.cnn.backend import keras`, or `tensorflow`: the package, imported by the first who asks."""
     if name not in ("keras", "tensorflow"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    with _importing:
+        return _imported(name)
+
+
+def _imported(name: str):
     if name not in sys.modules:
         # TensorFlow's later messages are below this level. The first ones do not know any level yet.
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")

@@ -82,8 +82,8 @@ class Image(NamedTuple):
 class Program:
     """The network `architectures.far_field` for images (n_y, n_x, channels), n = 1 (mod 8).
 
-    weights: layer -> kernel and bias, as `model_file.StoredNetwork` has them. Do not call it from several threads at a
-    time: they would share a workspace. Raises ValueError where the network has other layers (see `layer_shapes`).
+    weights: layer -> kernel and bias, as `model_file.StoredNetwork` has them. Several threads may call it: each call
+    has a workspace of its own. Raises ValueError where the network has other layers (see `layer_shapes`).
     """
 
     def __init__(self, weights: dict[str, list[np.ndarray]], shape: tuple[int, int]):
@@ -99,17 +99,22 @@ class Program:
         last = self._image(second[1].height, second[1].width, len(COEFFICIENTS))
         self._convolution("coefficients", second[1], last)
         self.layers, self.nodes = np.array(self._layers, LAYER), np.concatenate(self._nodes)
-        self.weights, self.workspace = np.concatenate(self._weights), _aligned(self._size)
-        self._input, self._output = (one.view(self.workspace) for one in (image, last))
-        self._output = self._output[:, :, : len(COEFFICIENTS)]
+        self.weights, self._input, self._output = np.concatenate(self._weights), image, last
+        self._workspaces = [_aligned(self._size)]  # those that no call is using
         del self._of, self._layers, self._nodes, self._weights
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Coefficients (rows, columns, outputs) of an image of this shape, both float32."""
-        expect(image.shape == self._input.shape, f"image: expected shape {self._input.shape}, got {image.shape}")
-        self._input[:] = image
-        _run(self.layers, self.nodes, self.weights, self.workspace)
-        return self._output.copy()
+        expect(image.shape == self._input[:3], f"image: expected shape {self._input[:3]}, got {image.shape}")
+        try:
+            workspace = self._workspaces.pop()
+        except IndexError:  # other threads have them
+            workspace = _aligned(self._size)
+        self._input.view(workspace)[:] = image
+        _run(self.layers, self.nodes, self.weights, workspace)
+        output = self._output.view(workspace)[:, :, : len(COEFFICIENTS)].copy()
+        self._workspaces.append(workspace)
+        return output
 
     def _image(self, height, width, features) -> Image:
         """Room for an image, zero as the margin has to be."""

@@ -7,6 +7,7 @@ import re
 from collections import OrderedDict
 from collections.abc import Mapping
 from pathlib import Path
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,9 @@ from deep_contact.validation import integer, one_of
 PHASES = ("impact", "settling", "rest")
 SETTLING, REST = 0.5, 0.05
 """Relative errors of Builtin's start below which a state is settling, or at rest."""
+
+_reading = Lock()
+"""Held while a store reads, and changes what it keeps."""
 
 
 def simulation_path(folder, sim: int) -> Path:
@@ -60,12 +64,13 @@ class Store:
 
     def simulation(self, sim: int) -> StoredSimulation:
         """All states of a simulation, from memory if it was among the last ones read."""
-        if sim not in self._cache:
-            self._cache[sim] = read_simulation(self._path(sim))
-            while len(self._cache) > 1 and sum(kept.bytes for kept in self._cache.values()) > self.cache_bytes:
-                self._cache.popitem(last=False)
-        self._cache.move_to_end(sim)
-        return self._cache[sim]
+        with _reading:
+            if sim not in self._cache:
+                self._cache[sim] = read_simulation(self._path(sim))
+                while len(self._cache) > 1 and sum(kept.bytes for kept in self._cache.values()) > self.cache_bytes:
+                    self._cache.popitem(last=False)
+            self._cache.move_to_end(sim)
+            return self._cache[sim]
 
     def state(self, sim: int, index: int) -> StateWithContacts:
         """One state, to the last bit what was written."""

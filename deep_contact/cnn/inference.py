@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from html import escape
 from pathlib import Path
+from threading import RLock
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from deep_contact.cnn.registry import network_file
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import StepProblem
 from deep_contact.state import State
+
+_compiling = RLock()
+"""Held while a network is built or traced, by one thread for all that wait for it."""
 
 
 def load_model(path=None) -> LearnedModel:
@@ -71,7 +75,10 @@ class LearnedModel:
     @cached_property
     def network(self):
         """The `keras.Model`."""
-        return self.source.build() if isinstance(self.source, StoredNetwork) else self.source
+        with _compiling:
+            if not isinstance(self.source, StoredNetwork):
+                return self.source
+            return vars(self).get("network") or self.source.build()
 
     def input(self, state: State) -> np.ndarray:
         """The image that the network takes, (n_y, n_x, channels), float32.
@@ -118,7 +125,11 @@ class LearnedModel:
         """
         image = np.asarray(image, np.float32)
         if image.shape not in self._compiled:
-            self._compiled[image.shape] = self._compile(image.shape, self._output_shape(image.shape))
+            with _compiling:
+                compiled = self._compiled.get(image.shape) or self._compile(
+                    image.shape, self._output_shape(image.shape)
+                )
+                self._compiled[image.shape] = compiled
         return self._compiled[image.shape](image)
 
     def seen(self, state, problem=None):

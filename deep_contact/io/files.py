@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
 import stat
 import zlib
 from collections.abc import Iterator
@@ -19,14 +20,36 @@ class FileError(ValueError):
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """A temporary path beside `path`, renamed to it at the end of the block; after an error it is removed instead.
 
-    The folder is made if there is none.
+    The folder is made if there is none. A symbolic link stays one: the file that it names is replaced. A file that is
+    replaced hands on its mode. Raises OSError, naming `path`, where it cannot be written.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
+    with _beside(path) as (target, temporary):
         yield temporary
-        os.replace(temporary, path)
+        if target.exists():
+            temporary.chmod(stat.S_IMODE(target.stat().st_mode))
+        os.replace(temporary, target)
+
+
+def check_writable(path: str | os.PathLike) -> None:
+    """Raise OSError, naming the path, where `replacing` could not write there; it leaves nothing but the folder."""
+    with _beside(path) as (_, temporary):
+        temporary.touch()
+
+
+@contextmanager
+def _beside(path: str | os.PathLike) -> Iterator[tuple[Path, Path]]:
+    """The file that a path means, and a path beside it of no other writer, which is removed at the end."""
+    target = Path(os.path.realpath(path))
+    if target.exists():
+        refuse_special(target, OSError)
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f".{secrets.token_hex(8)}{target.suffix}")
+    try:
+        yield target, temporary
+    except OSError as error:
+        if error.filename == str(temporary):
+            error.filename, error.filename2 = str(path), None
+        raise
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -57,7 +80,7 @@ def _json(value, indent: str = "") -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
-def refuse_special(path: Path, error: type[ValueError]) -> None:
+def refuse_special(path: Path, error: type[Exception]) -> None:
     """Raise an `error` for a folder, a device, or a pipe, which would wait for its writer; OSError for no file."""
     if not stat.S_ISREG(path.stat().st_mode):
         raise error(f"{path}: expected a file, got a folder, pipe or device")

@@ -1,4 +1,4 @@
-"""Forces in the user's terms: of contacts, on circles, walls and segments; stress, coordination, neighbours, a table.
+"""Forces in the user's terms: of contacts, on circles, walls and segments; stress, coordination, neighbours.
 
 A force is an impulse over Δt: λ / Δt is the mean over the step, or over the last substep of a divided one, that solved
 the impulses which the state carries. Of a solved state (`on_step`) that is its own step; of any other the step before,
@@ -135,21 +135,3 @@ def neighbours(state: State, circle: int) -> list[int | str]:
     state = ready(state)
     circle, c = integer("circle", circle, most=state.bodies.count - 1), state.contacts
     return [name_of(state, body) for body in [*c.body_a[c.body_b == circle], *c.body_b[c.body_a == circle]]]
-
-
-def contact_table(state: State, path=None) -> np.ndarray:
-    """The contacts as a structured array, which `pandas.DataFrame` takes; with a path, written there as CSV as well.
-
-    Columns: a, b (as of `neighbours`), x, y, n_x, n_y, separation, m; normal_impulse, tangent_impulse, N·s; force_x,
-    force_y on b, N. Raises OSError where the file cannot be written.
-    """
-    state, force = ready(state), forces(state).contact
-    c = state.contacts
-    names = [str(name_of(state, body)) for body in c.body_b]
-    numbers = [*c.position.T, *c.normal.T, c.separation, c.normal_impulse, c.tangent_impulse, *force.T]
-    columns = "x y n_x n_y separation normal_impulse tangent_impulse force_x force_y".split()
-    kinds = [("a", int), ("b", "U32"), *((name, float) for name in columns)]
-    table = np.array([*zip(c.body_a, names, *numbers)], dtype=kinds)
-    if path is not None:
-        np.savetxt(path, table, "%s", ",", header=",".join(table.dtype.names), comments="", encoding="utf-8")
-    return table

@@ -1,0 +1,29 @@
+"""The contacts of a state as a table, and as a CSV file."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deep_contact.io.files import replacing
+from deep_contact.physics.forces import forces, name_of
+from deep_contact.physics.ready import ready
+from deep_contact.state import State
+
+
+def contact_table(state: State, path=None) -> np.ndarray:
+    """The contacts as a structured array, which `pandas.DataFrame` takes; with a path, written there as CSV as well.
+
+    Columns: a, b (as of `neighbours`), x, y, n_x, n_y, separation, m; normal_impulse, tangent_impulse, N·s; force_x,
+    force_y on b, N. Raises OSError where the file cannot be written.
+    """
+    state, force = ready(state), forces(state).contact
+    c = state.contacts
+    names = [str(name_of(state, body)) for body in c.body_b]
+    numbers = [*c.position.T, *c.normal.T, c.separation, c.normal_impulse, c.tangent_impulse, *force.T]
+    columns = "x y n_x n_y separation normal_impulse tangent_impulse force_x force_y".split()
+    kinds = [("a", int), ("b", "U32"), *((name, float) for name in columns)]
+    table = np.array([*zip(c.body_a, names, *numbers)], dtype=kinds)
+    if path is not None:
+        with replacing(path) as temporary:
+            np.savetxt(temporary, table, "%s", ",", header=",".join(table.dtype.names), comments="", encoding="utf-8")
+    return table
