@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -26,7 +27,8 @@ if TYPE_CHECKING:
     from deep_contact.cnn.inference import LearnedModel
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
-Name = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad", "sph", "cnn", "learned support"]
+Classical = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad"]
+Name = Classical | Literal["sph", "sph spline", "sph consistent", "cnn", "learned support"]
 Start = Name | WarmStart | Path | None
 """What `warm_start=` takes: a name, a callable, a `LearnedModel` or the path of its file; None is "none"."""
 
@@ -129,16 +131,17 @@ class Sph:
     """The solution after a round trip through a grid image (the thesis's SPH-Model, Algorithm 5).
 
     spacing: d of the grid, m. support: h of the kernel, m; by default h = d. transfer: one of `TRANSFERS`. All spread
-    each impulse by weights that sum to one (Appendix A). "thesis" reads it back bilinearly (Algorithm 4), which returns
-    only a part of it, and nothing of a contact that reaches no node; "consistent" divides what is read back by what a
-    field of ones returns. The thesis's authors programmed "spline" for this start and "shared" for that of their
-    network (`sph.thesis`). Raises ValueError on an unknown transfer; the rest is checked by `deep_contact.sph`.
+    each impulse by weights that sum to one (Appendix A). "thesis" (the start "sph") reads it back bilinearly (Algorithm
+    4), which returns only a part of it, and nothing of a contact that reaches no node; "consistent" ("sph consistent",
+    ours) divides what is read back by what a field of ones returns. The thesis's authors programmed "spline" ("sph
+    spline") for this start and "shared" for that of their network (`sph.thesis`). Raises ValueError on an unknown
+    transfer; the rest is checked by `deep_contact.sph`.
     """
 
     spacing: float = 0.5
     support: float | None = None
     kernel: str = "poly6"
-    transfer: Transfer = "consistent"
+    transfer: Transfer = "thesis"
 
     def __post_init__(self):
         one_of("transfer", self.transfer, TRANSFERS)
@@ -232,6 +235,8 @@ STARTS: dict[Name, Callable[[], WarmStart]] = {
     "random": Random,
     "bad": Bad,
     "sph": Sph,
+    "sph spline": partial(Sph, transfer="spline"),
+    "sph consistent": partial(Sph, transfer="consistent"),
     "cnn": Cnn,
     "learned support": LearnedSupport,
 }

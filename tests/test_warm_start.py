@@ -9,7 +9,9 @@ from conftest import run_python
 
 import deep_contact as dc
 from deep_contact.physics.lcp import contact_problem
-from deep_contact.warm_start import Bad, Builtin, Copy, Random, Scaled
+from deep_contact.reporting import plotting
+from deep_contact.studies import starts
+from deep_contact.warm_start import Bad, Builtin, Copy, Random, Scaled, Sph, warm_start_of
 
 
 def mean_sweeps(states, start):
@@ -46,6 +48,23 @@ def test_scaled_is_all_of_builtin_at_rest_and_nothing_of_what_pulls(falling_stat
     # All circles part quickly: any push adds energy.
     apart = column.bodies._replace(velocity=np.outer(np.arange(5.0), [0.0, 10.0]))
     assert not Scaled()(column.replace(bodies=apart), None)[0].any()
+
+
+@pytest.mark.parametrize(
+    ("name", "label", "lost"),
+    [
+        ("sph", "SPH, bilinear", (0.2, 0.8)),
+        ("sph spline", "SPH, spline", (0.1, 0.7)),
+        ("sph consistent", "SPH, consistent", (0.0, 1e-3)),
+    ],
+)
+def test_a_name_means_one_way_through_the_grid(name, label, lost, falling_states):
+    """Algorithm 4 reads half of an impulse back, the authors' spline more, the consistent transfer all (Figure 6.3)."""
+    start, transfer = warm_start_of(name), {"sph": "thesis"}.get(name, name.removeprefix("sph "))
+    assert start == Sph(spacing=0.5, transfer=transfer)
+    assert lost[0] <= starts.transfer_loss(falling_states, start) <= lost[1]
+    assert plotting.style_of(name)["label"] == label
+    assert starts.CHOSEN.get(name, {"transfer": "consistent"})["transfer"] == transfer
 
 
 @pytest.mark.parametrize("start", [Random(seed=1), Bad()])

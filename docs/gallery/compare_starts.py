@@ -15,8 +15,8 @@ states = dc.experiments.solved_states(scene, steps=240, every=12)
 starts: dict[str, dc.warm_start.WarmStart] = {
     "none": dc.warm_start.NoStart(),
     "builtin": dc.warm_start.Builtin(),
-    "sph": dc.warm_start.Sph(spacing=0.5, transfer="thesis"),
-    "sph consistent": dc.warm_start.Sph(spacing=0.5),
+    "sph": dc.warm_start.Sph(spacing=0.5),
+    "sph consistent": dc.warm_start.Sph(spacing=0.5, transfer="consistent"),
     "copy": dc.warm_start.Copy(),
 }
 found = dc.experiments.paired(states, starts, sweeps=1000)
