@@ -8,13 +8,46 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
+
+import numpy as np
 
 from deep_contact.validation import integer
+
+
+def progress_bar(items: Iterable | None = None, *, total: int | None = None, text: str = ""):
+    """A progress bar on standard error around `items`; without items, one to move by `.update(n)`.
+
+    It appears after one second. A terminal is updated every 0.2 s, a log file every 10 s.
+    """
+    from tqdm import tqdm
+
+    every = 0.2 if sys.stderr.isatty() else 10.0
+    return tqdm(items, total=total, desc=text or None, file=sys.stderr, mininterval=every, delay=1.0, leave=False)
+
+
+def seeds(seed: int, count: int) -> list[int]:
+    """`count` independent seeds from one, for items that run in parallel. Item i always gets the same seed."""
+    return [int(child.generate_state(1, np.uint64)[0]) for child in np.random.SeedSequence(seed).spawn(count)]
+
+
+def parallel_map(
+    function: Callable, items: Iterable, *, jobs: int | Executor = 1, progress: Callable | None = None, text: str = ""
+) -> list:
+    """[function(item) for item in items], in that order, by `jobs`: see `finished`.
+
+    The result does not depend on `jobs` if `function` depends on its item alone: give every item its own seed
+    (`seeds`). The first error ends the map and is raised; an interrupt ends the processes too.
+    """
+    items = list(items)
+    with closing(finished(function, items, jobs=jobs)) as done:
+        by_index = dict(progress(done, total=len(items), text=text) if progress else done)
+    return [by_index[i] for i in range(len(items))]
 
 
 def finished(function: Callable, items: Iterable, *, jobs: int | Executor = 1) -> Iterator[tuple[int, object]]:

@@ -30,6 +30,7 @@ from deep_contact import parallel, peers, presets
 from deep_contact.constants import TIME_STEP
 from deep_contact.io.files import write_json
 from deep_contact.io.provenance import provenance
+from deep_contact.parallel import progress_bar
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS, solver_from
@@ -37,7 +38,6 @@ from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
 from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.presets import PRESETS, Decision
 from deep_contact.reporting import plotting, results
-from deep_contact.reporting.figures import progress_bar
 from deep_contact.run_errors import ERRORS, REST, Observation, errors, intervals, observation, observe, with_reach
 from deep_contact.simulation import simulate
 from deep_contact.state import State, notebook

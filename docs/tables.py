@@ -16,7 +16,7 @@ from collections import Counter
 import measured
 from deep_contact.io.files import write_bytes
 from deep_contact.presets import PRESETS
-from deep_contact.reporting import page, references, results
+from deep_contact.reporting import page, results, staleness
 from deep_contact.reporting.figures import cell
 from deep_contact.run_errors import ERRORS
 from deep_contact.studies import chapter_5, verdicts
@@ -306,7 +306,7 @@ def old_on(page: str, text: str) -> str:
     measured.USED.clear()
     filled(page, text)
     used = sorted(measured.USED | set(re.findall(r"data/reference/(\w+)\.png", text)))
-    old = [f"<li><code>{name}</code>: {why}</li>" for name in used if (why := references.why_old(name))]
+    old = [f"<li><code>{name}</code>: {why}</li>" for name in used if (why := staleness.why_old(name))]
     title = f"Old: {len(old)} of the {len(used)} results behind this page were made by other code than today's"
     return f"<details><summary>{title}</summary><ul>{''.join(old)}</ul></details>\n" if old else ""
 

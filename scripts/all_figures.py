@@ -19,7 +19,7 @@ import time
 from datetime import timedelta
 from pathlib import Path
 
-from deep_contact.reporting import page, references
+from deep_contact.reporting import page, staleness
 from deep_contact.reporting.figures import INTERRUPTED, common_arguments
 from deep_contact.reporting.results import REFERENCE
 from deep_contact.reporting.scripts import choose, find, stem
@@ -39,25 +39,24 @@ def main(arguments=None, folder=HERE):
     except ValueError as error:
         print(f"all_figures.py: {error}", file=sys.stderr)
         return 2
-    stale = references.stale() if args.stale or args.references else []
+    stale = {name: staleness.why_old(name) for name in staleness.stale()} if args.stale or args.references else {}
     if args.stale:
-        for name in stale:
-            took = duration(references.made(name)["wall_s"]) + " by hand" * (name in references.BY_HAND)
-            print(f"{name}, {took}: {references.why_old(name)}")
+        print(*(f"{name}, {duration(time_of(name, why))}: {why}\n" for name, why in stale.items()), sep="", end="")
         return 0
     work = [(name, [path, *passed_on], Path(args.out) / f"{stem(path)}.json") for name, path in chosen.items()]
     if args.references:
-        wanted = [stem(path) for path in chosen.values()] if args.only else references.STUDIES.keys() | set(stale)
-        names = [name for name in stale if name in wanted and name not in references.BY_HAND]
+        wanted = [stem(path) for path in chosen.values()] if args.only else staleness.STUDIES.keys() | stale.keys()
+        names = [name for name in stale if name in wanted]
         work = []
         for name in names:  # studies take no option of figures but the file's name
-            (script, *options), path = references.commands()[name], REFERENCE / f"{name}.json"
-            taken = ["--out", path] if name in references.STUDIES else passed_on
+            (script, *options), path = staleness.commands()[name], REFERENCE / f"{name}.json"
+            taken = ["--out", path] if name in staleness.STUDIES else passed_on
+            taken = [*taken, "--replot"] if stale[name] == staleness.DRAWN else taken
             work.append((name, [script, *taken, *options], path))
         work.append(("tables", [HERE.parent / "docs" / "tables.py"], None))
     done, status = [], 0
     for number, (name, command, stored) in enumerate(work, start=1):
-        left = sum(references.made(one)["wall_s"] for one, *_ in work[number - 1 : -1]) if args.references else 0
+        left = sum(time_of(one, stale[one]) for one, *_ in work[number - 1 : -1]) if args.references else 0
         print(f"\n[{number}/{len(work)}] {command[0].name}{f', {duration(left)} left' * bool(left)}", flush=True)
         status, seconds = timed(command)
         done.append((name, status, seconds, stored))
@@ -86,6 +85,11 @@ def parse(arguments):
     flags = [f"--{name}" for name in ("quick", "replot") if getattr(args, name)]
     values = [(f"--{name}", getattr(args, name)) for name in ("out", "jobs", "seed")]
     return args, flags + [str(word) for name, value in values if value is not None for word in (name, value)]
+
+
+def time_of(name, why):
+    """What it took to make a file of data/reference, s; nothing where it has only to be drawn again."""
+    return 0.0 if why == staleness.DRAWN else staleness.made(name)["wall_s"]
 
 
 def duration(seconds):

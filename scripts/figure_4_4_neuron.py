@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from deep_contact import parallel
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import chapter_4 as worked
 
@@ -11,7 +12,7 @@ def compute(options, seed, jobs, progress):
     x, w, bias = options["x"], options["w"], options["bias"]
     total = float(np.dot(x, w) + bias)
     line = np.linspace(-4.0, 4.0, options["points"])
-    seeds = figures.seeds(seed, options["networks"])
+    seeds = parallel.seeds(seed, options["networks"])
     size = {"depth": options["depth"], "width": options["width"]}
     ratios = {
         name: {

@@ -5,6 +5,7 @@ The experiment that the thesis announces after Figure 5.9 (section 5.4) and does
 
 import numpy as np
 
+from deep_contact import parallel
 from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import chapter_5, piles, starts, verdicts
@@ -21,7 +22,7 @@ def compute(options, seed, jobs, progress):
     described |= {name: {"model": path} for name, path in networks.items()} | {"copy": "copy"}
     every = {name: starts.start_of(description) for name, description in described.items()}
     for size, count, after, most in zip(*(options[name] for name in ("sizes", "states", "every", "most"))):
-        fallen = [piles.pile("settling", size, one) for one in figures.seeds(seed, options["scenes"])]
+        fallen = [piles.pile("settling", size, one) for one in parallel.seeds(seed, options["scenes"])]
         states = [piles.states_of(pile, count=count, every=after) for pile in fallen]
         flat, refused = [state for of_scene in states for state in of_scene], {}
         for name in networks:

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.stats import linregress
 
 import deep_contact as dc
+from deep_contact import parallel
 from deep_contact.reporting import Figure, figures, plotting
 from deep_contact.studies import starts, timing, verdicts
 
@@ -18,7 +19,7 @@ def compute(options, seed, jobs, progress):
     """
     scenes = []
     solve = partial(dc.solve_contacts, solver=dc.PGS(sweeps=options["sweeps"], tolerance=None))
-    for scene_seed in progress([seed, *figures.seeds(seed, options["scenes"] - 1)], text="scenes"):
+    for scene_seed in progress([seed, *parallel.seeds(seed, options["scenes"] - 1)], text="scenes"):
         scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=scene_seed)
         states = starts.solved_states(scene, steps=options["steps"], contacts_only=False)
         timed = [state for state in states[:: options["every"]] if state.contacts.count]

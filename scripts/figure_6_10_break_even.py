@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 
+from deep_contact import parallel
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import learned_starts
 from deep_contact.studies.learned_starts import CLASSICAL, FEWEST, LEARNED, time_ratios
@@ -18,9 +19,9 @@ def compute(options, seed, jobs, progress):
     tasks = [
         {**options, "circles": count, "kind": kind, "seed": s, "starts": starts}
         for count, kind in product(options["counts"], options["kinds"])
-        for s in figures.seeds(seed + 20_000, options["piles"][str(count)])
+        for s in parallel.seeds(seed + 20_000, options["piles"][str(count)])
     ]
-    errors = figures.parallel_map(learned_starts.errors_of_pile, tasks, jobs=jobs, progress=progress, text="piles")
+    errors = parallel.parallel_map(learned_starts.errors_of_pile, tasks, jobs=jobs, progress=progress, text="piles")
     made = {name: start_of(description) for name, description in starts.items()}
     times = (learned_starts.times_on(states, made, options["repeats"]) for _, states in progress(errors, text="times"))
     return {"sweeps": options["sweeps"], "piles": [pile | took for (pile, _), took in zip(errors, times)]}

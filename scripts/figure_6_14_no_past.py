@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from deep_contact import parallel
 from deep_contact.io.provenance import commit
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import no_past
@@ -30,12 +31,12 @@ def compute(options, seed, jobs, progress):
     cells = [dict(zip(("n_bodies", "kind", "radii"), cell)) for cell in chosen]
     common = {"options": {name: options[name] for name in ("radii", "sweeps", "model", "first")}, "commit": commit()}
     parts = [
-        ("pile", cell | common | {"seed": s}) for cell in cells for s in figures.seeds(seed, states[cell["n_bodies"]])
+        ("pile", cell | common | {"seed": s}) for cell in cells for s in parallel.seeds(seed, states[cell["n_bodies"]])
     ]
     piles = done(parts, {"pile": no_past.measure}, work=Path(options["work"]), jobs=jobs, text="piles")
     timed = []
     for cell in progress(cells, text="times"):
-        smallest, (first,) = options["radii"][cell["radii"]], figures.seeds(seed, 1)
+        smallest, (first,) = options["radii"][cell["radii"]], parallel.seeds(seed, 1)
         state, *_ = no_past.case(cell["n_bodies"], cell["kind"], smallest, first)
         timed.append(cell | no_past.times(state, no_past.starts_of(state, options["model"]), options["repeats"]))
     return {"piles": piles, "times": timed}

@@ -4,6 +4,7 @@ from itertools import chain
 
 import numpy as np
 
+from deep_contact import parallel
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import determinacy
 
@@ -30,9 +31,9 @@ def compute(options, seed, jobs, progress):
     tasks = [
         (pile, options["contacts"], s, options["models"] if pile[0] == "thesis" else [])
         for pile in dict.fromkeys(chain(*cells(options).values()))
-        for s in figures.seeds(seed, options["scenes"])
+        for s in parallel.seeds(seed, options["scenes"])
     ]
-    return {"piles": figures.parallel_map(_measured, tasks, jobs=jobs, progress=progress, text="piles")}
+    return {"piles": parallel.parallel_map(_measured, tasks, jobs=jobs, progress=progress, text="piles")}
 
 
 def _measured(task):

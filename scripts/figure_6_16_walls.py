@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact import trade
+from deep_contact import parallel, trade
 from deep_contact.io.provenance import commit
 from deep_contact.physics.scenes import drum, hopper, terrain
 from deep_contact.presets import PRESETS, excess
@@ -61,7 +61,7 @@ def compute(options, seed, jobs, progress):
 
 def measure(name, n, options, seed, jobs):
     """The rows and presets of a scene of n circles, as of the study of runs, and what `accuracy=` takes by name."""
-    numbers = figures.seeds(seed, options["seeds"][str(n)])
+    numbers = parallel.seeds(seed, options["seeds"][str(n)])
     start = scene(name, n, numbers[0])
     reference, *settings = {trade.name_of(one, start.dt): one for one in settings_of(start)}.values()
     common = {"name": name, "n_bodies": n, "seconds": options["seconds"], "commit": commit()}

@@ -5,6 +5,7 @@ from itertools import product
 import numpy as np
 
 import deep_contact as dc
+from deep_contact import parallel
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import starts, verdicts
 from deep_contact.warm_start import Sph
@@ -31,7 +32,7 @@ def compute(options, seed, jobs, progress):
 
     "by scene" has the losses that the thesis speaks of, one a scene of equal circles.
     """
-    seeds, n = [seed, *figures.seeds(seed, options["scenes"] - 1)], options["n_bodies"]
+    seeds, n = [seed, *parallel.seeds(seed, options["scenes"] - 1)], options["n_bodies"]
 
     def piles(count, radius):
         scenes = (dc.circles_in_box(count, radius=radius, seed=s) for s in seeds)

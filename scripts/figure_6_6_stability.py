@@ -4,6 +4,7 @@ from itertools import groupby, product
 
 import numpy as np
 
+from deep_contact import parallel
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import extremes
 from deep_contact.studies.extremes import ABSENT, DEGRADED, ENGINES, FAILED, REFUSED, SAFE
@@ -17,7 +18,7 @@ MILD_START = 1e12
 def compute(options, seed, jobs, progress):
     """Every value of every quantity in every engine."""
     cases = extremes.cases(options["quantities"], quick=options["few"], steps=options["steps"])
-    cells = figures.parallel_map(extremes.run_case, cases, jobs=jobs, progress=progress, text="scenes")
+    cells = parallel.parallel_map(extremes.run_case, cases, jobs=jobs, progress=progress, text="scenes")
     return {"units": {name: extremes.QUANTITIES[name][0] for name in options["quantities"]}, "cells": cells}
 
 

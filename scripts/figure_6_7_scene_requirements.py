@@ -4,7 +4,7 @@ Times are taken in this process, one after the other: nothing else should run me
 """
 
 import deep_contact as dc
-from deep_contact import constants
+from deep_contact import constants, parallel
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import savings
 
@@ -37,7 +37,7 @@ def compute(options, seed, jobs, progress):
         sweeps[str(size)] = {"frictionless": savings.sweep_saving(size, seed, **timed)}
     measured = next(iter(sweeps.values())) | savings.step_savings(n, seed, **timed)
     for name, (_, scene) in CONTEXTS.items():
-        seeds = progress(figures.seeds(seed, options["scenes"]), text=name)
+        seeds = progress(parallel.seeds(seed, options["scenes"]), text=name)
         scenes = (dc.circles_in_box(n, seed=s, **scene) for s in seeds)
         islands[name] = [savings.island_savings(s, steps=options["steps"], every=options["every"]) for s in scenes]
         measured[name] = savings.saving_by_run(islands[name])

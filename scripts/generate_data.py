@@ -22,12 +22,11 @@ from pathlib import Path
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import constants
+from deep_contact import constants, parallel
 from deep_contact.cnn.dataset import PHASES, phase, simulation_path
 from deep_contact.io import simulation_h5
 from deep_contact.io.simulation_h5 import DataFileError, simulation_info
 from deep_contact.physics import metrics
-from deep_contact.reporting import figures
 from deep_contact.studies.no_past import without_past
 from deep_contact.studies.piles import SETTLE, packing
 
@@ -201,10 +200,10 @@ def main(arguments=None) -> int:
     try:
         wanted = missing(jobs)
         print(f"{args.out}: {len(jobs)} simulations, {len(jobs) - len(wanted)} are there already")
-        parallel = {"jobs": args.jobs, "progress": figures.progress_bar}
-        figures.parallel_map(make_simulation, wanted, text="simulations", **parallel)
+        spread = {"jobs": args.jobs, "progress": parallel.progress_bar}
+        parallel.parallel_map(make_simulation, wanted, text="simulations", **spread)
         if args.xml:
-            figures.parallel_map(write_xml, jobs, text="XML", **parallel)
+            parallel.parallel_map(write_xml, jobs, text="XML", **spread)
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
         return 130

@@ -21,10 +21,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact import run_errors, trade
+from deep_contact import parallel, run_errors, trade
 from deep_contact.constants import TIME_STEP
 from deep_contact.presets import TABLE
-from deep_contact.reporting import figures, results
+from deep_contact.reporting import results
 from deep_contact.studies import runs
 from deep_contact.studies.parts import done
 from deep_contact.validation import expect
@@ -230,7 +230,7 @@ def plan(options: dict, seed: int, before: Mapping | None) -> tuple[list, dict]:
         ("observed", {"kind": kind, "n_bodies": n, "seed": one, "setting": setting, "seconds": options["seconds"]})
         for (kind, n, name), (setting, count) in cases.items()
         if (kind, n, name) not in kept
-        for one in figures.seeds(seed, count)
+        for one in parallel.seeds(seed, count)
     ]
     return sorted(seen, key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"]), kept
 

@@ -5,6 +5,7 @@ from itertools import product
 
 import numpy as np
 
+from deep_contact import parallel
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.presets import PRESETS, PresetWarning
 from deep_contact.reporting import Claim, Figure, figures
@@ -42,7 +43,7 @@ def compute(options, seed, jobs, progress):
     names = ("restitution", "friction", "mass_ratio", "preset")
     cases = product(options["restitutions"], options["frictions"], options["mass_ratios"], PRESETS)
     tasks = [(dict(zip(names, case)) | {"seed": seed}, options) for case in cases]
-    return {"runs": figures.parallel_map(run_case, tasks, jobs=jobs, progress=progress, text="runs")}
+    return {"runs": parallel.parallel_map(run_case, tasks, jobs=jobs, progress=progress, text="runs")}
 
 
 def claims(data):

@@ -12,7 +12,6 @@ from contextlib import closing
 import pytest
 
 from deep_contact import parallel
-from deep_contact.reporting import figures
 
 
 @pytest.fixture
@@ -42,8 +41,8 @@ def test_an_error_or_an_interrupt_leaves_no_tasks_behind(executor, first, progre
         return number
 
     with pytest.raises(error):
-        figures.parallel_map(refuse_two, [first, *range(3, 200)], jobs=executor, progress=progress)
-    assert figures.parallel_map(refuse_two, [5], jobs=executor) == [5]
+        parallel.parallel_map(refuse_two, [first, *range(3, 200)], jobs=executor, progress=progress)
+    assert parallel.parallel_map(refuse_two, [5], jobs=executor) == [5]
     assert len(begun) < 50
 
 

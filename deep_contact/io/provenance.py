@@ -7,13 +7,11 @@ import os
 import platform
 import re
 import subprocess
-import sys
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
 from deep_contact.constants import VERSION
-from deep_contact.io import sources
 from deep_contact.io.shipped import find
 
 PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotlib")
@@ -23,15 +21,10 @@ PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotli
 def provenance(*, seed: int | None = None, wall_s: float = 0.0, options: dict | None = None) -> dict:
     """Version, commit, Python, packages, processor, seed and wall time in seconds, as results files record them.
 
-    options: of the run; with them also "inputs", the digests of the files that they name. Where the main program is a
-    script, also "code", the digests of what it runs (`sources.code`), and "golden", that of the golden runs, if any.
-    Neither paths nor the name of the machine are recorded. No package is imported to learn its version.
+    options: of the run; with them also "inputs", the digests of the files that they name. Neither paths nor the name of
+    the machine are recorded. No package is imported to learn its version.
     """
-    script = Path(getattr(sys.modules["__main__"], "__file__", None) or "none").resolve()
-    record: dict = {}
-    if script.suffix == ".py" and script.is_file() and "site-packages" not in script.parts:
-        record = {"code": sources.code(script)} | dict(zip(["golden"], sources.golden()))
-    record |= {
+    record = {
         "version": VERSION,
         "commit": commit(),
         "python": platform.python_version(),

@@ -23,7 +23,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
-from contextlib import closing
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 from html import escape
@@ -31,10 +30,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact import parallel
 from deep_contact.compiled.team import cores
 from deep_contact.io import provenance
-from deep_contact.reporting import plotting, results
+from deep_contact.parallel import parallel_map, progress_bar, seeds  # noqa: F401 (scripts of users take them from here)
+from deep_contact.reporting import plotting, results, staleness
 from deep_contact.reporting.results import Claim
 from deep_contact.validation import one_of
 
@@ -174,7 +173,8 @@ def produce(
     seed, path = figure.seed if seed is None else seed, Path(out, f"{figure.stem}.json")
     start = time.perf_counter()
     data = results.plain(figure.compute(dict(options), seed, jobs, progress_bar), digits=figure.digits)
-    made = provenance.provenance(seed=seed, wall_s=time.perf_counter() - start, options=options)
+    took = time.perf_counter() - start
+    made = staleness.made_by() | provenance.provenance(seed=seed, wall_s=took, options=options)
     stored = {"id": figure.id, "title": figure.title, "options": options, "provenance": made}
     stored |= {"claims": list(figure.claims(data)), "data": data}
     stored = results.read_results(results.write_results(path, stored))
@@ -220,6 +220,8 @@ def _redrawn(figure: Figure, path: Path) -> dict:
     if stored["id"] != figure.id:
         raise results.ResultsError(f"{path.name}: expected id {figure.id!r}, got {stored['id']!r}")
     judged = stored | results.plain({"title": figure.title, "claims": list(figure.claims(stored["data"]))})
+    if "drawn" in stored["provenance"]:
+        judged["provenance"] = stored["provenance"] | {"drawn": staleness.made_by()["drawn"]}
     if judged != stored:
         results.write_results(path, judged)
     _draw(figure, judged, path)
@@ -333,33 +335,3 @@ def _value(text: str, default):
     if wrong or (type(default) is int and value < 1 <= default):
         raise ValueError
     return value
-
-
-def progress_bar(items: Iterable | None = None, *, total: int | None = None, text: str = ""):
-    """A progress bar on standard error around `items`; without items, one to move by `.update(n)`.
-
-    It appears after one second. A terminal is updated every 0.2 s, a log file every 10 s.
-    """
-    from tqdm import tqdm
-
-    every = 0.2 if sys.stderr.isatty() else 10.0
-    return tqdm(items, total=total, desc=text or None, file=sys.stderr, mininterval=every, delay=1.0, leave=False)
-
-
-def seeds(seed: int, count: int) -> list[int]:
-    """`count` independent seeds from one, for items that run in parallel. Item i always gets the same seed."""
-    return [int(child.generate_state(1, np.uint64)[0]) for child in np.random.SeedSequence(seed).spawn(count)]
-
-
-def parallel_map(
-    function: Callable, items: Iterable, *, jobs: int | Executor = 1, progress: Callable | None = None, text: str = ""
-) -> list:
-    """[function(item) for item in items], in that order, by `jobs`: see `parallel.finished`.
-
-    The result does not depend on `jobs` if `function` depends on its item alone: give every item its own seed
-    (`seeds`). The first error ends the map and is raised; an interrupt ends the processes too.
-    """
-    items = list(items)
-    with closing(parallel.finished(function, items, jobs=jobs)) as done:
-        by_index = dict(progress(done, total=len(items), text=text) if progress else done)
-    return [by_index[i] for i in range(len(items))]

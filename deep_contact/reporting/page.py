@@ -15,7 +15,7 @@ from pathlib import Path
 import jinja2
 
 from deep_contact.io.files import write_bytes
-from deep_contact.reporting import references, results
+from deep_contact.reporting import results, staleness
 from deep_contact.reporting.figures import cell
 
 ERRATA: dict[str, list[dict]] = json.loads((Path(__file__).parent / "errata.json").read_text(encoding="utf-8"))
@@ -67,7 +67,7 @@ def _content(path: Path) -> dict:
         "anchor": path.stem.replace("_", "-"),
         "picture": base64.b64encode(picture.read_bytes()).decode("ascii") if picture.exists() else None,
         "settings": {**entry["options"], "seed": made["seed"]},
-        "old": references.why_old(path.stem) if path.resolve().parent == results.REFERENCE else "",
+        "old": staleness.why_old(path.stem) if path.resolve().parent == results.REFERENCE else "",
         "made": run | made["packages"] | made.get("inputs", {}),
     }
 

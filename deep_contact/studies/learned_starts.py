@@ -15,12 +15,12 @@ from itertools import product
 
 import numpy as np
 
+from deep_contact.parallel import parallel_map, seeds
 from deep_contact.physics import metrics
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import solve, step_problem
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
-from deep_contact.reporting.figures import parallel_map, seeds
 from deep_contact.simulation import solve_contacts
 from deep_contact.state import State
 from deep_contact.studies import piles, timing

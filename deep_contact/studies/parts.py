@@ -9,7 +9,8 @@ from concurrent.futures import Executor
 from contextlib import suppress
 from pathlib import Path
 
-from deep_contact.reporting import figures, results
+from deep_contact import parallel
+from deep_contact.reporting import results
 
 
 def done(
@@ -26,7 +27,7 @@ def done(
         (functions[name], arguments, work / f"{name}_{arguments['n_bodies']}_{digest_of([name, arguments])}.json")
         for name, arguments in parts
     ]
-    return figures.parallel_map(_done, tasks, jobs=jobs, progress=figures.progress_bar, text=text)
+    return parallel.parallel_map(_done, tasks, jobs=jobs, progress=parallel.progress_bar, text=text)
 
 
 def digest_of(value) -> str:

@@ -13,12 +13,13 @@ import numpy as np
 
 from deep_contact import constants, sph
 from deep_contact.cnn.backend import one_thread
+from deep_contact.parallel import parallel_map, seeds
 from deep_contact.physics.convergence import mean_theta
 from deep_contact.physics.ready import ready
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import plotting
-from deep_contact.reporting.figures import Figure, parallel_map, seeds
+from deep_contact.reporting.figures import Figure
 from deep_contact.reporting.results import plain
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import State, StateWithContacts, World

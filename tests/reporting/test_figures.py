@@ -17,6 +17,7 @@ import pytest
 from conftest import circles_at, load_script
 
 import deep_contact as dc
+from deep_contact import parallel
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.state import no_contacts
@@ -28,7 +29,7 @@ OPTIONS = {"n": 4, "scale": 1.5, "name": "poly6", "flag": False, "d": [0.25, 0.5
 def walk(options, seed, jobs, progress):
     """Random walks, one seed each: the same for any number of jobs."""
     task = functools.partial(random_walk, options["n"], options["scale"])
-    return {"walks": np.array(figures.parallel_map(task, figures.seeds(seed, 3), jobs=jobs, progress=progress))}
+    return {"walks": np.array(parallel.parallel_map(task, parallel.seeds(seed, 3), jobs=jobs, progress=progress))}
 
 
 def random_walk(n, scale, seed):
@@ -218,15 +219,15 @@ def test_bad_arguments_exit_with_2(tmp_path, bad):
 def test_the_error_of_an_item_does_not_wait_for_the_others():
     start = time.monotonic()
     with pytest.raises(TypeError, match="NoneType"):
-        figures.parallel_map(sleep, [None, 60, 60], jobs=2)
+        parallel.parallel_map(sleep, [None, 60, 60], jobs=2)
     assert time.monotonic() - start < 30  # not a timing: the items take two minutes
 
 
 def test_seeds_differ_and_the_first_ones_stay_when_more_are_asked_for():
-    few, many = figures.seeds(3, 10), figures.seeds(3, 1000)
+    few, many = parallel.seeds(3, 10), parallel.seeds(3, 1000)
     assert many[:10] == few
     assert len(set(many)) == 1000
-    assert not set(many) & set(figures.seeds(4, 1000))
+    assert not set(many) & set(parallel.seeds(4, 1000))
 
 
 INTERRUPTED_SCRIPT = """
@@ -262,7 +263,7 @@ def test_an_interrupt_leaves_no_traceback_no_files_and_no_processes(tmp_path, jo
 
 def test_jobs_of_a_program_without_a_guard_say_what_it_needs(tmp_path):
     script = tmp_path / "mine.py"
-    script.write_text("from deep_contact.reporting.figures import parallel_map\nparallel_map(abs, [1, 2], jobs=2)\n")
+    script.write_text("from deep_contact.parallel import parallel_map\nparallel_map(abs, [1, 2], jobs=2)\n")
     done = subprocess.run([sys.executable, script], capture_output=True, text=True)
     assert done.stderr.splitlines()[-1].startswith("RuntimeError: jobs: a process ended before its task was done;")
     assert "bootstrapping" not in done.stderr

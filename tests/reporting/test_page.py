@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import pytest
 
 from deep_contact.reporting import page as report_page
-from deep_contact.reporting import plotting, references, results
+from deep_contact.reporting import plotting, results
 
 
 def entry(id, **changes):
@@ -108,9 +108,3 @@ def test_a_quick_run_is_called_so_and_contradicts_nothing(folder):
     assert "of 6 claims of the thesis, 3 hold, 0 hold in part, 2 do not, and 1 are left open" in text
     assert "other settings than the reference runs: 1." in text
     assert text.count("the &lt;other&gt;") == 5  # not in the list of those that do not hold
-
-
-def test_every_file_of_data_reference_is_made_by_a_command_or_a_record():
-    made = {path.stem for path in results.REFERENCE.glob("*.json")}
-    assert made == references.commands().keys() | set(references.RECORDS)
-    assert all(script.is_file() for script, *_ in references.commands().values())

@@ -14,7 +14,7 @@ from conftest import SCRIPTS as FOLDER
 from conftest import load_script
 from matplotlib.text import Text
 
-from deep_contact.reporting import figures, plotting, references, results, scripts
+from deep_contact.reporting import figures, plotting, results, scripts, staleness
 from deep_contact.reporting.results import _of_any_size as of_any_size
 
 SCRIPTS = {name.replace("T", "T "): path for name, path in scripts.find(FOLDER).items()}
@@ -51,7 +51,7 @@ def verdicts(entry):
 def test_the_stored_run_is_a_full_one_of_the_script_as_it_is(id):
     figure, entry = figure_of(id), STORED[id]
     # With other options it has to be listed as old, and its pages say so.
-    assert entry["options"] == results.plain(figure.options) or references.why_old(scripts.stem(SCRIPTS[id]))
+    assert entry["options"] == results.plain(figure.options) or staleness.why_old(scripts.stem(SCRIPTS[id]))
     assert entry["title"] == figure.title
     assert entry["provenance"]["seed"] == figure.seed
 

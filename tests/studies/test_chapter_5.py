@@ -8,9 +8,10 @@ import pytest
 from conftest import load_script
 
 import deep_contact as dc
+from deep_contact import parallel
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec
-from deep_contact.reporting import figures, results
+from deep_contact.reporting import results
 from deep_contact.reporting.results import Claim
 from deep_contact.studies import chapter_5, learned_starts, starts
 from deep_contact.warm_start import Builtin, NoStart, Sph
@@ -61,7 +62,7 @@ def test_figure_5_9s_scenes_are_none_of_the_data_set():
     """Its scenes (scripts/generate_data.py) come from SeedSequence(0, spawn_key=(i,)): no two streams are the same."""
     script = load_script("figure_5_9")
     count = script.FIGURE.options["scenes"]
-    ours = [np.random.default_rng(s).random(8) for s in figures.seeds(script.FIGURE.seed, count)]
+    ours = [np.random.default_rng(s).random(8) for s in parallel.seeds(script.FIGURE.seed, count)]
     theirs = [np.random.default_rng(np.random.SeedSequence(0, spawn_key=(i,))).random(8) for i in range(150)]
     assert count >= 10
     assert not any(np.isin(one, other).any() for one in ours for other in theirs)

@@ -31,13 +31,13 @@ from numba.core.registry import cpu_target
 
 import deep_contact as dc
 from deep_contact import sph
-from deep_contact.io import sources
 from deep_contact.io.files import write_bytes, write_json
 from deep_contact.io.provenance import provenance
 from deep_contact.physics.lcp import contact_problem
 from deep_contact.physics.matrix_solvers import solve_problem
 from deep_contact.physics.solvers import METHODS, describe
 from deep_contact.presets import PRESETS, PresetWarning
+from deep_contact.reporting import staleness
 from deep_contact.warm_start import STARTS, TRANSFERS, Sph
 
 FILE = Path(__file__).resolve().parents[2] / "data" / "reference" / "golden.json"
@@ -309,7 +309,7 @@ def write():
     packed = BytesIO()
     np.savez_compressed(packed, **named)
     write_bytes(FILE.with_suffix(".npz"), packed.getvalue())
-    before, of = json.loads(FILE.read_text(encoding="utf-8")), sources.digest_of_runs
+    before, of = json.loads(FILE.read_text(encoding="utf-8")), staleness.digest_of_runs
     # A run that a preset gives another solver is another run: it says nothing of the code.
     same = [(entries[name], was) for name, was in before["runs"].items() if name in entries]
     is_kept = all(now["sha256"] == was["sha256"] for now, was in same if now["solver"] == was["solver"])

@@ -31,8 +31,8 @@ from cosmic_ray.plugins import get_operator, operator_names
 from cosmic_ray.testing import run_tests
 
 from deep_contact.io.files import replacing
+from deep_contact.parallel import progress_bar
 from deep_contact.reporting import results
-from deep_contact.reporting.figures import progress_bar
 
 ROOT = Path(__file__).resolve().parents[2]
 TESTS = "tests/physics tests/sph tests/test_golden.py"
