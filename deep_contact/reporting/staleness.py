@@ -48,29 +48,32 @@ JUDGING = {"title", "quick", "table", "draw", "claims"}, (1, 3, 4, 5)
 
 @cache
 def code(script: Path, root: Path = shipped.ROOT) -> dict:
-    """{"code": file -> 16 digits, of what a script's numbers come from, "drawn": 16 digits of all that it runs}."""
+    """{"code": file -> 16 digits, of what a script's numbers come from, "drawn": 16 digits of what draws}."""
     body = _parsed(script)
     computing = _needed(body)
-    numbers, everything = imported(computing, root), imported(body, root, reporting=True)
+    numbers, (others, drawing) = imported(computing, root)[0], imported(body, root)
     found = {script: _digest(computing)} | {file: _digest_of(file) for file in numbers}
     by_name = {file.relative_to(root).as_posix() if root in file.parents else file.name: file for file in found}
-    drawing = [_digest(body), *map(_digest_of, sorted(everything - numbers))]
-    return {"code": {name: found[by_name[name]] for name in sorted(by_name)}, "drawn": _sha(" ".join(drawing).encode())}
+    drawn = [_digest(body), *map(_digest_of, sorted(drawing | others - numbers))]
+    return {"code": {name: found[by_name[name]] for name in sorted(by_name)}, "drawn": _sha(" ".join(drawn).encode())}
 
 
-def imported(statements: Sequence[ast.stmt], root: Path, *, reporting: bool = False) -> set[Path]:
+def imported(statements: Sequence[ast.stmt], root: Path) -> tuple[set[Path], set[Path]]:
     """The files of the package that statements import, directly or not, and the data files that these name.
 
-    reporting: whether also those of reporting/ and what these import.
+    The second are those of reporting/. What only they import changes no number and is drawn by them alone.
     """
-    found: set[Path] = set()
+    found, drawing, reporting = set(), set(), root / "deep_contact" / "reporting"
     waiting = _imports(statements, root)
     while waiting:
         file = waiting.pop()
-        if reporting or root / "deep_contact" / "reporting" not in file.parents:
+        if reporting in file.parents:
+            drawing.add(file)
+            waiting |= {one for one in _imported_by(file, root) if reporting in one.parents} - drawing
+        else:
             found.add(file)
-            waiting |= _imported_by(file, root) - found
-    return found
+            waiting |= _imported_by(file, root) - found - drawing
+    return found, drawing
 
 
 def _needed(body: Sequence[ast.stmt]) -> list[ast.stmt]:
