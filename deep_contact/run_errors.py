@@ -18,6 +18,7 @@ from scipy import stats
 
 from deep_contact.presets import FASTEST
 from deep_contact.state import State
+from deep_contact.validation import brief
 
 LOADS = np.linspace(0.0, 6.0, 121)
 """Where the distribution of λ_n / mean λ_n is kept."""
@@ -30,6 +31,9 @@ SETTLED = 0.2
 
 TOUCHING = 1e-3
 """Gap, in radii, below which two circles count as in contact: rigid ones that touch have a gap of 0."""
+
+LARGEST = 1e100
+"""Of the values of a quantity: their sums have to be numbers."""
 
 ERRORS = {
     "energy": "kinetic-energy curve: Σ |⟨E_k⟩ − ⟨E_k⟩*| / Σ ⟨E_k⟩* over the whole run, %",
@@ -98,7 +102,7 @@ def observe(
     rows, momentum, loads, times, unit = [], [], [], [], None
     own: dict[str, list | str] = {name: [] for name in quantities}
     for state in states:
-        own = {name: _with_next(name, quantity, state, own[name]) for name, quantity in quantities.items()}
+        own = {name: with_next(name, quantity, state, own[name]) for name, quantity in quantities.items()}
         bodies = state.bodies
         g, r, mass = float(np.hypot(*state.world.gravity)), float(bodies.radius.mean()), float(bodies.mass.sum())
         squares = (bodies.velocity**2).sum(axis=1)
@@ -127,8 +131,8 @@ def observe(
     return Observation(*table[:, :3].T, table[:, 3:6], table[:, 6], force, known, interval, values)
 
 
-def _with_next(name: str, quantity: Callable, state: State, before: list | str) -> list | str:
-    """The values of a quantity and its next one, or what is wrong with it."""
+def with_next(name: str, quantity: Callable, state: State, before: list | str) -> list | str:
+    """The values of a quantity and its next one, that of this state; or a sentence on what is wrong with it."""
     if isinstance(before, str):
         return before
     where = f"quantities[{name!r}] at t = {state.time:.3g} s: expected"
@@ -136,8 +140,8 @@ def _with_next(name: str, quantity: Callable, state: State, before: list | str) 
         value = np.asarray(quantity(state), float)
     except Exception as error:
         return f"{where} a number or an array, got {type(error).__name__}: {error}"
-    if not np.isfinite(value).all():
-        return f"{where} finite numbers, got {value.tolist()}"
+    if not (value.size and (np.abs(value) <= LARGEST).all()):
+        return f"{where} finite numbers up to {LARGEST:g}, got {brief(value.tolist())}"
     if before and before[0].shape != value.shape:
         return f"{where} the shape that it had before, {before[0].shape}, got {value.shape}"
     return [*before, value]

@@ -15,6 +15,7 @@ import math
 import pickle
 import sys
 import time
+import typing
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -28,7 +29,7 @@ import numpy as np
 
 from deep_contact import parallel, peers, presets
 from deep_contact.constants import TIME_STEP
-from deep_contact.io.files import write_json
+from deep_contact.io.files import read_bytes, write_json
 from deep_contact.io.provenance import provenance
 from deep_contact.parallel import progress_bar
 from deep_contact.physics.engine import contacts_of
@@ -38,12 +39,22 @@ from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
 from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.presets import PRESETS, Decision
 from deep_contact.reporting import plotting, results
-from deep_contact.run_errors import ERRORS, REST, Observation, errors, intervals, observation, observe, with_reach
+from deep_contact.run_errors import (
+    ERRORS,
+    REST,
+    Observation,
+    errors,
+    intervals,
+    observation,
+    observe,
+    with_next,
+    with_reach,
+)
 from deep_contact.simulation import simulate
 from deep_contact.state import State, notebook
 from deep_contact.state.checks import check_types
 from deep_contact.stiffness import stiffness
-from deep_contact.validation import expect, integer, number, one_of
+from deep_contact.validation import brief, expect, integer, number, one_of
 
 FRAMES = 120
 """Observations of a run."""
@@ -66,6 +77,9 @@ POSITION_SWEEPS = 10
 
 SHOWN = ("energy", "height", "penetration", "penetration_max")
 """Of the study's errors, those in the printed table, beside the user's quantities."""
+
+LARGEST_FILE = 2**30
+"""Of a saved trade, bytes."""
 
 ABSOLUTE = ("penetration", "penetration_95", "penetration_max")
 """Errors that compare with zero, not with the reference."""
@@ -264,6 +278,7 @@ class Trade:
     reference: dict
     quantities: list
     digests: list  # of the scene of each seed
+    looks: dict = field(default_factory=dict)  # quantity -> digest of what it is of the first scene
     seeds: int = 0
     observed: dict = field(default_factory=dict)  # (name, number of the seed) -> (seconds or None, Observation)
     rows: list = field(default_factory=list)
@@ -328,26 +343,28 @@ class Trade:
         return Decision(solver_of(row["setting"]), start, row["us"], None, (text,) if other else ())
 
     def table(self) -> list[list[str]]:
-        """A header and a line a setting, the cheapest first; errors in %, with what presets they keep."""
+        """A header and a line a setting, the cheapest first: ms a step, errors in %, the preset it keeps, its name."""
         names = [name for name in (*SHOWN, *self.quantities) if any(row["errors"].get(name) for row in self.rows)]
-        lines = [["setting", "ms a step", *(f"{name}, %" for name in names), "keeps"]]
+        lines = [["ms a step", *names, "keeps", "setting"]]
         for row in sorted(self.rows, key=lambda row: row["us"] or math.inf):
             by = ", ".join(preset for preset, name in self.by_preset.items() if name == row["name"])
             errors = {name: error and error[0] for name, error in row["errors"].items()}
             kept = [preset for preset, tolerances in PRESETS.items() if presets.excess(errors, tolerances) <= 1]
             cells = [f"{errors[name] * _percent(name):.3g}" if row["errors"].get(name) else "–" for name in names]
             cost = f"{1e-3 * row['us']:.3g}" if row["us"] else "–"
-            lines.append([row["name"] + (f" ({by})" if by else ""), cost, *cells, kept[-1] if kept else "–"])
+            lines.append([cost, *cells, kept[-1] if kept else "–", row["name"] + (f" ({by})" if by else "")])
         return lines
 
     def _title(self) -> str:
         what = f"{self.scene}: {self.n_bodies:,} circles, {self.steps:,} steps of {self.dt:g} s"
-        return f"{what}, {notebook.counted(self.seeds, 'seed')}, against {name_of(self.reference, self.dt)}"
+        return (
+            f"{what}, {notebook.counted(self.seeds, 'seed')}, against {name_of(self.reference, self.dt)}; errors in %"
+        )
 
     def __str__(self) -> str:
         lines = self.table()
         widths = [max(len(line[j]) for line in lines) for j in range(len(lines[0]))]
-        rows = ["  ".join([line[0].ljust(widths[0]), *map(str.rjust, line[1:], widths[1:])]) for line in lines]
+        rows = ["  ".join([*map(str.rjust, line[:-1], widths), line[-1]]) for line in lines]
         return "\n  ".join([self._title(), *rows, *self.notes])
 
     __repr__ = __str__
@@ -376,17 +393,24 @@ class Trade:
         """Write all of it, observations too, as JSON."""
         stored = {f.name: getattr(self, f.name) for f in fields(self)}
         runs = [[*of, us, seen._asdict()] for of, (us, seen) in self.observed.items()]
-        return write_json(path, results.plain(stored | {"observed": runs}, digits=6))
+        return write_json(path, results.plain(stored | {"observed": runs}))
 
 
 def load_trade(path) -> Trade:
     """A `Trade` that was saved. Raises ValueError where the file is none."""
     try:
-        stored = json.loads(Path(path).read_text(encoding="utf-8"))
+        stored = json.loads(read_bytes(path, LARGEST_FILE))
         stored["observed"] = {(name, i): (us, observation(seen)) for name, i, us, seen in stored["observed"]}
-        return Trade(**stored)
-    except (KeyError, TypeError, AttributeError, ValueError) as error:
-        raise ValueError(f"{Path(path).name}: expected a file of Trade.save, got {error!r}") from None
+        trade = Trade(**stored)
+        for name, kind in typing.get_type_hints(Trade).items():
+            value = getattr(trade, name)
+            expect(isinstance(value, (kind, int) if kind is float else kind), f"{name}: {brief(value)}")
+        for setting in (trade.reference, *trade.settings.values()):
+            expect("engine" in setting or solver_of(setting), f"settings: {brief(setting)}")
+        str(trade)  # which looks at all rows
+        return trade
+    except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
+        raise ValueError(f"{Path(path).name}: expected a file of Trade.save, got {brief(error)}") from None
 
 
 def draw_plane(ax, rows: Sequence[Mapping], error: str, *, names: bool = True) -> None:
@@ -441,7 +465,7 @@ def measure_trade(
     """
     numbers, quantities = _checked(steps, minutes, seeds, quantities, jobs)
     states = copies(scene, numbers)
-    trade = _begun(states, steps, settings, engines, list(quantities))
+    trade = _begun(states, steps, settings, engines, quantities)
     trade.observed = {} if before is None else _known(trade, before)
     begun, every = time.perf_counter(), max(1, steps // FRAMES)
     frames, interval, most = steps // every, every * trade.dt, math.inf if minutes is None else 60.0 * minutes
@@ -551,7 +575,7 @@ def copies(scene: State | Callable[[int], State], seeds: Sequence[int]) -> list[
     return states
 
 
-def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantities: list) -> Trade:
+def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantities: Mapping) -> Trade:
     """The trade before its first run; everything is compiled."""
     first = states[0]
     by_preset, more = ladder(first)
@@ -563,22 +587,35 @@ def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantit
     for setting in (*by_preset.values(), *more):
         with contextlib.suppress(FloatingPointError):  # its runs will say it
             Run(first, setting).advance(1)
+    values = {name: with_next(name, quantity, ready(first), []) for name, quantity in quantities.items()}
     return Trade(
-        scene=first.name, n_bodies=first.bodies.count, dt=first.dt, steps=steps, quantities=quantities, notes=notes,
+        scene=first.name, n_bodies=first.bodies.count, dt=first.dt, steps=steps, notes=notes,
+        quantities=list(quantities),
         settings={name_of(one, first.dt): one for one in (*by_preset.values(), *more, *found)},
         by_preset={preset: name_of(one, first.dt) for preset, one in by_preset.items()},
-        reference=reference_of(first), digests=list(map(_digest, states)), cpu=provenance()["cpu"],
+        reference=reference_of(first), digests=list(map(_digest_of_state, states)), cpu=provenance()["cpu"],
+        looks={name: _digest(value if isinstance(value, str) else value[0]) for name, value in values.items()},
     )  # fmt: skip
 
 
-def _digest(state: State) -> str:
-    """Sixteen hexadecimal digits of the bodies."""
-    return hashlib.sha256(b"".join(np.ascontiguousarray(array).tobytes() for array in state.bodies)).hexdigest()[:16]
+def _digest_of_state(state: State) -> str:
+    """Of all that a run begins from: the world, the bodies, the contacts with their impulses, and the time."""
+    moment = repr((state.world, state.time, state.step, state.dt, state.solved, state.contacts is None))
+    return _digest(moment, *state.bodies, *(state.contacts or ()))
+
+
+def _digest(*parts) -> str:
+    """Sixteen hexadecimal digits of arrays and texts."""
+    sha = hashlib.sha256()
+    for part in parts:
+        sha.update(part.encode() if isinstance(part, str) else np.ascontiguousarray(part).tobytes())
+    return sha.hexdigest()[:16]
 
 
 def _known(trade: Trade, before: Trade) -> dict:
     """What an earlier result has observed of the same runs. Raises ValueError where it is of other ones."""
-    for name in ("dt", "steps", "quantities", "reference"):
+    expect(isinstance(before, Trade), f"before: expected a Trade, got {brief(before)}")
+    for name in ("dt", "steps", "quantities", "looks", "reference", "cpu"):
         mine, other = getattr(trade, name), getattr(before, name)
         expect(mine == other, f"before: expected {name} {mine!r}, got {other!r}")
     common = [i for i, (one, other) in enumerate(zip(trade.digests, before.digests)) if one == other]

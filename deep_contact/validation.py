@@ -13,6 +13,14 @@ from numbers import Integral, Real
 
 import numpy as np
 
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 120
+
+
+def brief(value) -> str:
+    """`repr(value)` on one line, cut where it is long: for messages."""
+    return " ".join(_SHORT.repr(value).split())
+
 
 def expect(condition, message: str) -> None:
     """Raise ValueError with the message unless the condition holds."""

@@ -1,6 +1,9 @@
 """The trade on a scene of one's own: errors of known answers, budgets, what goes wrong, and what is chosen."""
 
+import json
 import math
+import os
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +13,7 @@ from deep_contact import trade as module
 from deep_contact.__main__ import main
 from deep_contact.constants import WALL_SKIN
 from deep_contact.state.checks import make_bodies
+from deep_contact.trade import SHOWN
 
 G, SLOPE = 9.81, math.radians(20.0)
 
@@ -82,6 +86,7 @@ def test_what_is_chosen_keeps_what_was_asked_at_the_least_cost(pile, tmp_path):
     assert run.state.solver == solver
     again = dc.load_trade(trade.save(tmp_path / "trade.json"))
     assert str(again) == str(trade)
+    np.testing.assert_array_equal(again.values("top")["reference"], trade.values("top")["reference"])
     assert again.choose("fast") == solver
     assert "copies of the state stay" in str(trade)
     assert len(trade.plot().axes) == 3
@@ -109,8 +114,102 @@ def test_it_goes_on_where_it_was_interrupted(pile, monkeypatch):
     rest = dc.measure_trade(scene, **options, before=part)
     assert len(calls) == 20 + len(whole.observed) - len(part.observed)
     assert [row["errors"] for row in rest.rows] == [row["errors"] for row in whole.rows]
-    with pytest.raises(ValueError, match="before: expected steps 50, got 40"):
-        dc.measure_trade(scene, **options | {"steps": 50}, before=part)
+
+
+def raises(state):
+    raise RuntimeError("boom")
+
+
+def test_a_trade_is_printed_with_its_numbers_first(pile):
+    """Of the widest line before, 185 columns, the setting took the first 70, and the numbers were cut."""
+    title, header, *lines = str(pile[1]).splitlines()
+    assert header.split() == ["ms", "a", "step", *SHOWN, "top", "keeps", "setting"]
+    assert title.endswith("; errors in %")
+    assert header.index("setting") < 90
+    assert {line[header.index("setting") :].split(" (")[0] for line in lines} >= pile[1].settings.keys()
+
+
+OTHER = {
+    "restitution": lambda scene: scene.replace(world=replace(scene.world, restitution=0.3)),
+    "friction": lambda scene: scene.replace(world=replace(scene.world, friction=0.1)),
+    "gravity": lambda scene: scene.replace(world=replace(scene.world, gravity=(0.0, -5.0))),
+    "a segment": lambda scene: scene.replace(world=replace(scene.world, segments=[((1, 1), (2, 1))])),
+    "a box": lambda scene: scene.replace(world=replace(scene.world, box=(0, 0, 12, 13))),
+    "scales": lambda scene: scene.replace(world=replace(scene.world, scales=dc.BOX2D)),
+    "impulses": lambda scene: scene.replace(
+        contacts=scene.contacts._replace(normal_start=2.0 * scene.contacts.normal_start)
+    ),
+    "no contacts": lambda scene: scene.replace(contacts=None),
+    "time": lambda scene: scene.replace(time=scene.time + 1.0),
+}
+"""What may differ from a scene while its circles are the same -> the other scene."""
+
+
+@pytest.mark.parametrize("name", OTHER)
+def test_an_earlier_trade_of_another_world_is_refused(name, pile):
+    """A trade with e = 0 was taken for one with e = 0.9: 90.7 % for an error of 8.2 %."""
+    scene, before = pile
+    trade = replace(before, digests=[module._digest_of_state(state) for state in module.copies(scene, range(3))])
+    assert module._known(trade, before).keys() == before.observed.keys()
+    trade.digests = [module._digest_of_state(state) for state in module.copies(OTHER[name](scene), range(3))]
+    with pytest.raises(ValueError, match="before: expected a trade of the same scene, got another"):
+        module._known(trade, before)
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"quantities": {"top": lambda s: s.bodies.position[:, 1].min()}}, "before: expected looks"),
+        ({"quantities": {"top": raises}}, "before: expected looks"),
+        ({"quantities": {}}, "before: expected quantities"),
+        ({"steps": 50}, "before: expected steps 50, got 40"),
+        ({"before": 3}, "before: expected a Trade, got 3"),
+    ],
+)
+def test_an_earlier_trade_of_other_quantities_is_refused(changes, sentence, pile):
+    scene, before = pile
+    options = {"steps": 40, "seeds": 3, "quantities": {"top": lambda s: s.bodies.position[:, 1].max()}}
+    with pytest.raises(ValueError, match=sentence):
+        dc.measure_trade(scene, **options | {"before": before} | changes)
+
+
+def test_an_earlier_trade_of_another_processor_is_refused(pile):
+    with pytest.raises(ValueError, match="before: expected cpu"):
+        module._known(pile[1], replace(pile[1], cpu="another"))
+
+
+SPOILT = {
+    "no JSON": lambda stored: "{",
+    "nested": lambda stored: "[" * 100_000,
+    "a list": lambda stored: "[]",
+    "a number": lambda stored: "3",
+    "binary": lambda stored: "\x00",
+    "text for steps": lambda stored: json.dumps(stored | {"steps": "40"}),
+    "text for rows": lambda stored: json.dumps(stored | {"rows": "40"}),
+    "numbers for rows": lambda stored: json.dumps(stored | {"rows": [1, 2]}),
+    "text for times": lambda stored: json.dumps(stored | {"rows": [one | {"us": "1"} for one in stored["rows"]]}),
+    "a setting that is none": lambda stored: json.dumps(stored | {"settings": {"a": {"method": "PGSS"}}}),
+    "an observation that is none": lambda stored: json.dumps(stored | {"observed": [["a", 0, 1.0, {}]]}),
+    "observed once": lambda stored: json.dumps(stored | {"observed": [3]}),
+}
+"""What a file may be in place of a trade -> its text, of what `Trade.save` writes."""
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_a_file_that_is_no_trade_is_refused_in_a_sentence(name, pile, tmp_path):
+    path = pile[1].save(tmp_path / "trade.json")
+    path.write_text(SPOILT[name](json.loads(path.read_text(encoding="utf-8"))), encoding="utf-8")
+    with pytest.raises(ValueError, match=r"trade\.json: expected a file of Trade\.save, got .{1,200}$"):
+        dc.load_trade(path)
+
+
+@pytest.mark.timeout(20)
+@pytest.mark.parametrize("name", ["pipe", "/dev/zero", "folder"])
+def test_a_trade_is_read_of_files_alone(name, tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(ValueError, match="expected a file, got a folder, pipe or device"):
+        dc.load_trade(tmp_path / name)
 
 
 @pytest.mark.filterwarnings("ignore:minutes. the least")  # of a busy machine
@@ -122,15 +221,13 @@ def test_a_budget_leaves_seeds_and_settings_out(pile):
     assert any("within" in note for note in trade.notes)
 
 
-def raises(state):
-    raise RuntimeError("boom")
-
-
 @pytest.mark.parametrize(
     ("quantity", "sentence"),
     [
         (raises, "a number or an array, got RuntimeError: boom"),
-        (lambda state: math.nan, "finite numbers, got nan"),
+        (lambda state: math.nan, "finite numbers up to 1e+100, got nan"),
+        (lambda state: 1e300, "finite numbers up to 1e+100, got 1e+300"),
+        (lambda state: state.bodies.position[5:], "finite numbers up to 1e+100, got []"),
         (lambda state: np.zeros(state.step), "the shape that it had before, (1,), got (2,)"),
     ],
 )
