@@ -11,8 +11,8 @@ import numpy as np
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import convergence_record
 from deep_contact.physics.engine import Steps, step_input
-from deep_contact.physics.step import DONE, LAST_SWEEPS, StepLog, make_log, some_steps
-from deep_contact.state import Bodies, Contacts, StateWithContacts
+from deep_contact.physics.step import DONE, LAST_SWEEPS, StepLog, make_log, of_whole_step, some_steps
+from deep_contact.state import Bodies, Contacts, StateWithContacts, read_only
 from deep_contact.warm_start import Builtin, NoStart, starting_impulses
 
 MOST_WORK, SECONDS = 20_000_000, 0.2
@@ -22,30 +22,38 @@ MOST_WORK, SECONDS = 20_000_000, 0.2
 def run(
     state: StateWithContacts, start, steps: int, sleep: bool = False, record: int | None = None,
     on_step: Callable | None = None, until: Callable | None = None, forces: bool = False, stopped: Event | None = None,
-) -> tuple[StateWithContacts, StepLog, list[StateWithContacts], list[np.ndarray]]:  # fmt: skip
-    """So many steps of a state with its solver: the state after them, their log, the recorded states and loads.
+) -> tuple[StateWithContacts, StepLog, list[StateWithContacts], list[np.ndarray], list[StateWithContacts]]:  # fmt: skip
+    """So many steps of a state with its solver: the state after them, their log, the recorded states, loads and steps.
 
-    Arguments as of `simulation.simulate`, checked. Loads are `StepLog.loads` up to each recorded state. stopped: ends
-    the run with a KeyboardInterrupt once it is set.
+    Arguments as of `simulation.simulate`, checked. Loads are `StepLog.loads` up to each recorded state; the steps are
+    what `on_step` sees of those that led to one, with `forces`. stopped: ends the run with a KeyboardInterrupt once it
+    is set.
     """
     calls = _Calls(state, start, sleep)
     # Builtin and NoStart need nothing from Python between two steps.
     one_by_one = on_step is not None or until is not None or not isinstance(start, (Builtin, NoStart))
     every, log, done = record or steps + 1, make_log(steps, 4 + len(state.world.segments) if forces else 0), 0
     frames, state = [] if record is None else [state], None  # a million circles have 200 MB of contacts
-    loads, is_over = [log.loads.copy()], False
+    loads, solved, is_over = [log.loads.copy()], [], False
     while done < steps and not is_over:
         if stopped is not None and stopped.is_set():
             raise KeyboardInterrupt
+        left = min(steps - done, every - done % every)
         most = 1 if one_by_one else calls.affordable()
-        done += calls.advance(log, done, min(steps - done, every - done % every, most), on_step)
+        if forces and left > 1:
+            most = min(most, left - 1)  # so that the step that leads to a recorded state is a call of its own
+        is_watched = on_step is not None or (forces and (left == 1 or until is not None))
+        done += calls.advance(log, done, min(left, most), is_watched)
+        if on_step is not None:
+            on_step(*calls.seen)
         if until is not None:
-            is_over, calls.is_own = bool(until(calls.state)), False
+            is_over, calls.is_own = bool(until(read_only(calls.state))), False
         if record is not None and (done % every == 0 or done == steps or is_over):
             frames.append(calls.state)
             loads.append(log.loads.copy())
+            solved += calls.seen[:1]
             calls.is_own = False
-    return calls.state, StepLog(*(column[:done] for column in log[:5]), *log[5:]), frames, loads
+    return calls.state, StepLog(*(column[:done] for column in log[:5]), *log[5:]), frames, loads, solved
 
 
 class _Calls:
@@ -54,7 +62,9 @@ class _Calls:
     def __init__(self, state: StateWithContacts, start, sleep: bool):
         self.state, self._start, self._solver = state, start, state.solver
         self.is_own = False  # whether nobody else sees the arrays that a step writes into
+        self.seen: tuple = ()  # what `on_step` sees of the last step that was watched
         self._work = MOST_WORK // 8
+        self._is_one_solve = state.replace(solved=True).holds_solution
         self._scales = engine.scales_of(state, state.solver)  # of radii that do not change in a run
         self._steps = Steps(state.solver, state.bodies.count, sleep=sleep, carry=not isinstance(start, NoStart))
         # Before the arrays of the result, so that its release leaves no gap on top of the heap, which is inputs back.
@@ -64,14 +74,14 @@ class _Calls:
         """So many steps may be done by a call."""
         return 1 + self._work // (10 * self.state.bodies.count + 50)
 
-    def advance(self, log: StepLog, first: int, count: int, on_step: Callable | None) -> int:
+    def advance(self, log: StepLog, first: int, count: int, is_watched: bool) -> int:
         """Do up to so many steps, the rows of the log from `first` on. Returns how many have been done."""
-        before = None if on_step is None else self.state
+        before = self.state if is_watched else None
         problem = self._prepare()
-        inputs, rows = step_input(self.state, self._solver, self._scales), some_steps(log, first, count, self._work)
+        inputs = step_input(self.state, self._solver, self._scales)
+        rows = some_steps(log, first, count, self._work, is_watched and not self._is_one_solve)
         contacts, begun = self.state.contacts, time.perf_counter()
-        # Impacts that were computed with the problem are in no log.
-        contacts_after = self._steps(inputs, contacts, rows, None if len(log.loads) else problem)
+        contacts_after, received = self._steps(inputs, contacts, rows, problem)
         # How a run is divided changes no bit of it.
         self._work = min(MOST_WORK, 2 * self._work, 1 + int(self._work * SECONDS / (time.perf_counter() - begun)))
         state, count = self.state, int(rows.progress[DONE]) // inputs.parts
@@ -81,11 +91,12 @@ class _Calls:
         # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
         now = step * state.dt if state.time == state.step * state.dt else state.time + count * state.dt
         self.state = state.replace(contacts=contacts_after, time=now, step=step, solved=False)
-        self.is_own = on_step is None
+        self.is_own = not is_watched
         if before is not None:
             theta = self._steps.memory(inputs).theta[: rows.progress[LAST_SWEEPS]]
             convergence = convergence_record(theta, self._solver, int(rows.contacts[0]))
-            on_step(before.replace(contacts=contacts, solved=True), convergence)
+            solved = contacts if self._is_one_solve else of_whole_step(contacts, received)
+            self.seen = read_only(before.replace(contacts=solved, solved=True)), convergence
         return count
 
     def _prepare(self):

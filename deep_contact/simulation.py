@@ -51,6 +51,7 @@ class Simulation(NamedTuple):
     | substeps    | into how many each step was divided, (steps,)                                             |
     | recorded    | the recorded states as a `Trajectory`, the last being `state`; None where none were asked |
     | loads       | what walls and segments received until each recorded state, (T, 4 + S, 2), N·s, or None   |
+    | solved      | what `on_step` sees of the steps that led to a recorded state, a `Trajectory`, or None    |
 
     With substeps, contacts and θ are those of a step's last substep, sweeps and relaxations sums over all of them.
     """
@@ -63,6 +64,7 @@ class Simulation(NamedTuple):
     substeps: np.ndarray
     recorded: Trajectory | None = None
     loads: np.ndarray | None = None
+    solved: Trajectory | None = None
 
     @property
     def trajectory(self) -> Trajectory:
@@ -136,7 +138,7 @@ def find_contacts(state: State) -> StateWithContacts:
     keys, before = (one.body_a * end + one.body_b for one in (contacts, old.contacts))
     is_same, starts = np.array_equal(keys, before), old.contacts[7:]
     _, kept, at = np.intersect1d(keys, before, assume_unique=True, return_indices=True)
-    impulses = old.contacts[5:7] if old.solved and is_same else (np.maximum(starts[0], 0.0), starts[1])
+    impulses = (np.maximum(starts[0], 0.0), starts[1]) if old.solved and not is_same else old.contacts[5:7]
     for values, carried in zip(contacts[5:], (*impulses, *starts)):
         values[kept] = carried[at]
     return old.replace(contacts=contacts, solved=old.solved and is_same)
@@ -191,11 +193,15 @@ def simulate(
     sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
-    forces: add up what walls and segments receive, for `Simulation.force_on`, between the states that `record` keeps.
+    forces: add up what walls and segments receive between the states that `record` keeps, for `Simulation.force_on`,
+    and keep what `on_step` sees of the step that led to each, as `Simulation.solved`.
     until: called after each step with the state that it led to; the run ends where this is true.
-    on_step: called after each step with the solved state (the bodies before the step, the contacts with the impulses
-    it solved and those it started from) and the `ConvergenceRecord` of its sweeps. Of a divided step the impulses are
-    what the first substep solved, times their number, and the record is that of the last.
+    on_step: called after each step with the solved state and the `ConvergenceRecord` of its sweeps, of a divided step
+    of its last. The state has the bodies before the step and its contacts: with the impulses that they started from,
+    and with all that they gave in the step, in its substeps and rebounds. So the changes of momentum are the sums of
+    these impulses and gravity's. Contacts that came during the step are among them, where they came, and started from
+    0. To go on from such a state repeats the step.
+    Arrays that `until` and `on_step` get cannot be written into: `Simulator` changes what goes on.
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
     all numbers; the run can be interrupted.
     """
@@ -222,9 +228,9 @@ def _simulate(
         state = _with_a_past(state)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     state = state.replace(solver=solver)
-    state, log, frames, loads = run(state, start, steps, sleep, record, on_step, until, forces, stopped)
-    recorded = None if record is None else Trajectory.from_states(frames)
-    return Simulation(state, *log[:5], recorded, np.array(loads) if forces else None)
+    state, log, frames, loads, solved = run(state, start, steps, sleep, record, on_step, until, forces, stopped)
+    recorded, solved = (Trajectory.from_states(states) if states else None for states in (frames, solved))
+    return Simulation(state, *log[:5], recorded, np.array(loads) if forces else None, solved)
 
 
 def simulate_many(

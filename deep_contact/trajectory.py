@@ -48,7 +48,8 @@ class Trajectory:
     | impulses   | λ_n and λ_t of each contact                          | (M, 2)    | N·s    |
     | energies   | kinetic and potential                                | (T, 2)    | J      |
 
-    Arrays are those of the run, not copies; `run[i]` has arrays of its own. Potential energy is zero at the origin.
+    Arrays are those of the run, not copies; `run[i]` has copies, which cannot be written into. Potential energy is zero
+    at the origin.
     """
 
     stored: StoredSimulation

@@ -246,11 +246,11 @@ STARTS: dict[Name, Callable[[], WarmStart]] = {
 def solved_impulses(state: State, solver) -> tuple[np.ndarray, np.ndarray]:
     """(λ_n, λ_t) of the state's solution, (m,) each, N·s.
 
-    Those that it holds if it has been solved; otherwise it is solved here, from Builtin, as in the copy of the
-    world that the thesis runs one step ahead (Algorithm 5).
+    Those that it holds if it does (`State.holds_solution`); otherwise it is solved here, from Builtin, as in the copy
+    of the world that the thesis runs one step ahead (Algorithm 5).
     """
     contacts = state.contacts
-    if state.solved:
+    if state.holds_solution:
         return contacts.normal_impulse.copy(), contacts.tangent_impulse.copy()
     solution = solve(state, solver, contacts.normal_start, contacts.tangent_start)
     return solution.normal_impulses, solution.tangent_impulses

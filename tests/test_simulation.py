@@ -3,14 +3,17 @@
 import re
 import tracemalloc
 import warnings
+from itertools import product
 
 import numpy as np
 import pytest
-from conftest import circles_at
+from conftest import assert_same_bits, circles_at
 
 import deep_contact as dc
 from deep_contact import running
 from deep_contact.simulation import with_time_step
+
+MOTION = dc.PGS(sweeps=8, substeps=2, most_substeps=8)
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +128,47 @@ def test_memory_kept_between_calls_changes_no_bit(monkeypatch, friction):
         scene = run.state
         assert run.theta[0] == theta
     assert found.state == scene
+
+
+WATCHES = {
+    "record": {"record": 3},
+    "forces": {"record": 3, "forces": True},
+    "on_step": {"on_step": lambda state, record: None},
+    "until": {"until": lambda state: False},
+    "all": {"record": 3, "forces": True, "on_step": lambda state, record: None, "until": lambda state: False},
+}
+
+
+@pytest.mark.parametrize("watch", WATCHES)
+@pytest.mark.parametrize("solver", [dc.PGS(sweeps=8), dc.BatchedPGS(sweeps=8), MOTION], ids=str)
+def test_watching_changes_nothing(watch, solver):
+    scenes = dc.drum(20), dc.lattice_in_box(20, restitution=0.4, seed=2), dc.hopper(30)
+    for scene, start in product(scenes, ("builtin", None, "scaled", "support", "random")):
+        plain = dc.simulate(scene, steps=80, dt=0.03, solver=solver, warm_start=start)
+        watched = dc.simulate(scene, steps=80, dt=0.03, solver=solver, warm_start=start, **WATCHES[watch])
+        assert_same_bits(plain.state, watched.state)
+        np.testing.assert_array_equal(plain.theta, watched.theta)
+
+
+def test_what_is_not_the_runs_cannot_be_written_into():
+    shown = []
+    see = lambda state, *record: shown.append(state)  # noqa: E731
+    options = {"record": 5, "forces": True, "on_step": see, "until": see}
+    run = dc.simulate(dc.column(3), steps=20, solver=dc.PGS(), **options)
+    for state in (*shown, *run.trajectory, *run.solved):
+        for array in (*state.bodies, *state.contacts):
+            with pytest.raises(ValueError, match="read-only"):
+                array[:] = 0
+    run.state.bodies.velocity[:] = 0.0  # it is the caller's
+
+
+def test_a_run_without_warm_start_leaves_impulses_that_are_kept():
+    state = dc.simulate(dc.lattice_in_box(20, seed=1), steps=200, solver=dc.PGS(), warm_start=None).state
+    carried = state.contacts.normal_impulse
+    assert carried.max() > 0.1
+    np.testing.assert_array_equal(dc.find_contacts(state).contacts.normal_impulse, carried)
+    kept = state.with_bodies(add=dc.make_bodies([[15.0, 29.0]])).contacts
+    np.testing.assert_array_equal(kept.normal_impulse[: len(carried)], carried)
 
 
 def test_a_run_ends_where_it_is_told_to_and_is_called_once_a_step_whatever_divides_it():

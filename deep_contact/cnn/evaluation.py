@@ -11,6 +11,7 @@ from deep_contact.physics.engine import solve
 from deep_contact.physics.metrics import velocity_error
 from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
+from deep_contact.state.checks import check_solution
 
 SWEEPS = (0, 3, 10, 30)
 
@@ -27,8 +28,7 @@ def velocity_errors(state: State, start: tuple[np.ndarray, np.ndarray], sweeps: 
     The reference are the velocities by the impulses that the solved state holds. The error is infinite where v* = v⁻
     but v differs. Raises ValueError on a state that is not solved.
     """
-    if state.contacts is None or not state.solved:
-        raise ValueError("state.solved: expected a state that holds its solution, got False")
+    check_solution(state)
 
     def swept(count, normal, tangent):
         return solve(state, PGS(sweeps=count, tolerance=None), np.asarray(normal), np.asarray(tangent))

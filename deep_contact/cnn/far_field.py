@@ -138,7 +138,7 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepP
     state = with_contacts(state)
     if state.contacts.count == 0:
         raise ValueError("state.contacts: expected at least one contact, got 0")
-    rows, free, _ = step_problem(state) if problem is None else problem
+    rows, free, *_ = step_problem(state) if problem is None else problem
     world = state.world
     measured = _measure(
         state.bodies, state.contacts, rows, free, world.box, world.friction, symmetry >= 4, symmetry % 4

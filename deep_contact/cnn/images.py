@@ -14,6 +14,7 @@ import numpy as np
 
 from deep_contact.sph import Grid, gather, splat
 from deep_contact.state import State, World, native
+from deep_contact.state.checks import check_solution
 from deep_contact.validation import number
 
 # A particle that no node is within h of goes to the nearest node, and one outside the box to its edge. A contact with a
@@ -110,8 +111,7 @@ def label_image(state: State, spec: ImageSpec) -> np.ndarray:
 
     Raises ValueError where the state has not been solved.
     """
-    if not state.solved:
-        raise ValueError("state.solved: expected a state that holds its solution, got False")
+    check_solution(state)
     contacts = native(state).contacts
     impulses = np.column_stack([contacts.normal_impulse, contacts.tangent_impulse])
     return spec.splat(state.world, contacts.position, impulses)

@@ -33,6 +33,7 @@ from deep_contact.physics.contact_solver import (
 )
 from deep_contact.physics.engine import step_problem
 from deep_contact.state import State
+from deep_contact.state.checks import check_solution
 
 _NOTHING = 1e-12
 """‖v* − v⁻‖, √J, below which there is nothing to solve and the error is 0."""
@@ -49,9 +50,8 @@ class SolvedProblem(NamedTuple):
 
 def solved_problem(state: State) -> SolvedProblem:
     """The contact problem of a solved state. Raises ValueError on a state that is not solved."""
-    if state.contacts is None or not state.solved:
-        raise ValueError("state.solved: expected a state that holds its solution, got False")
-    rows, free, friction = step_problem(state)
+    check_solution(state)
+    rows, free, friction, _ = step_problem(state)
     solution = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
     return SolvedProblem(rows, free, solution, friction)
 

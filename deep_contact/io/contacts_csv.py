@@ -16,7 +16,7 @@ def contact_table(state: State, path=None) -> np.ndarray:
     Columns: a, b (as of `neighbours`), x, y, n_x, n_y, separation, m; normal_impulse, tangent_impulse, N·s; force_x,
     force_y on b, N. Raises OSError where the file cannot be written.
     """
-    state, force = ready(state), forces(state).contact
+    state, force = ready(state, of_step=True), forces(state).contact
     c = state.contacts
     names = [str(name_of(state, body)) for body in c.body_b]
     numbers = [*c.position.T, *c.normal.T, c.separation, c.normal_impulse, c.tangent_impulse, *force.T]

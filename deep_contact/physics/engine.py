@@ -33,13 +33,16 @@ from deep_contact.physics.segments import positions_before, segments_in_grid
 from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
 from deep_contact.physics.step import (
     DONE,
+    WATCHED,
     WORK,
     Motion,
     StepInput,
     StepLog,
     StepMemory,
     StepOptions,
-    add_loads,
+    impulses_of,
+    is_asked,
+    log_impulses,
     log_part,
     make_memory,
     with_rare,
@@ -56,16 +59,18 @@ def advance(step, motion, contacts, sleep, options, memory, log):
     Each step is as many substeps as the solver asks for, and motion may divide these (`substeps`). What nothing in the
     scene requires is not compiled: segments, restitution, motion, sleep, and what stops fast circles: without that the
     call ends before the first substep that has one, and the next call goes on there.
-    Returns the contacts found, in memory that the next call writes into.
+    Returns the contacts found, in memory that the next call writes into, and `StepLog.received`.
     step: `StepInput`. motion: its own, None where it has nothing rare. sleep: `SleepMemory`, None where nothing may.
     options: `StepOptions`. memory: `StepMemory`. log: `StepLog`, filled.
     """
-    part, turn = step, 0
+    part, turn, received = step, 0, log.received
     for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
         if sleep is not None:
             if sleeping.all_asleep(sleep):
                 log_part(log, j // step.parts, 0, 0, memory.theta, 0)
-                add_loads(log, contacts, step.bodies.mass.shape[0], 1.0 / step.parts)
+                if is_asked(log):
+                    impulse, n = impulses_of(contacts, 1.0 / step.parts), step.bodies.mass.shape[0]
+                    received = log_impulses(log, received, contacts, impulse, n)
                 log.progress[DONE] = j + 1
                 continue
         if motion is not None:
@@ -75,34 +80,38 @@ def advance(step, motion, contacts, sleep, options, memory, log):
                 depart(step, part, contacts)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
-            is_whole, contacts = do_part(part, motion, contacts, sleep, options, memory, log, j // step.parts, turn)
+            is_whole, contacts, received = do_part(
+                part, motion, contacts, sleep, options, memory, log, received, j // step.parts, turn
+            )
             if not is_whole:
-                return contacts
+                return contacts, received
         if motion is not None:
             if part.parts > step.parts:
                 rejoin(step, part, contacts)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
-    return contacts
+    return contacts, received
 
 
 @njit(inline="always")
-def do_part(part, motion, contacts, sleep, options, memory, log, k, turn):
+def do_part(part, motion, contacts, sleep, options, memory, log, received, k, turn):
     """A part of the k-th step: velocities, positions, and the contacts that the next part solves, in buffer `turn`.
 
-    Returns (False, the contacts as they are) before a fast circle that nothing compiled stops. It has no call of its
-    own, which would count references to all arrays that are handed on.
+    Returns whether it is done, its contacts and `StepLog.received`: (False, as they are) before a fast circle that
+    nothing compiled stops. It has no call of its own, which would count references to all arrays that are handed on.
     """
     bodies, box, segments, scales, friction = part.bodies, part.box, part.segments, part.scales, part.friction
     solver_bodies, theta, rows, cells = memory.solver_bodies, memory.theta, memory.rows, memory.cells
-    active = contacts
+    active, impacts = contacts, log.loads[:0]
     if sleep is not None:
         active = sleeping.awake_contacts(contacts, sleep)
     # Velocities.
     if not memory.is_built:
         if motion is not None:
-            rebound(part, active, log.loads)
+            if is_asked(log):
+                impacts = np.zeros((active.body_a.shape[0], 2))
+            rebound(part, active, impacts)
         integrate_velocities(bodies, part.gravity, part.dt, solver_bodies)
         if sleep is not None:
             sleeping.hold_sleeping(solver_bodies, sleep)
@@ -115,7 +124,7 @@ def do_part(part, motion, contacts, sleep, options, memory, log, k, turn):
     # Positions.
     before = positions_before(bodies, segments)
     if not integrate_positions(bodies, solver_bodies, part, segments):
-        return False, contacts
+        return False, contacts, received
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
     # The contacts that the next part or step solves.
     buffer, skin = memory.contacts[turn], scales.wall_skin
@@ -123,8 +132,10 @@ def do_part(part, motion, contacts, sleep, options, memory, log, k, turn):
     if sleep is not None:
         sleeping.wake_and_put_to_sleep(part, following, sleep)
     log_part(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
-    add_loads(log, contacts, bodies.mass.shape[0], 1.0 / part.parts)
-    return True, following
+    if is_asked(log):
+        received = log_impulses(log, received, contacts, impulses_of(contacts, 1.0 / part.parts), bodies.mass.shape[0])
+        received = log_impulses(log, received, active, impacts, bodies.mass.shape[0])
+    return True, following, received
 
 
 class Steps:
@@ -155,24 +166,30 @@ class Steps:
 
     def __call__(
         self, step: StepInput, contacts: Contacts, log: StepLog, problem: StepProblem | None = None
-    ) -> Contacts:
+    ) -> tuple[Contacts, np.ndarray]:
         """Do as many steps as the log has rows, which is filled: the bodies move in place.
 
         problem: of the one step to do, if it has been built; it is used up. Who may sleep has rows of their own.
-        Returns the contacts found.
+        Returns the contacts found, and `StepLog.received`.
         """
         memory = self.memory(step, contacts.count)
         if problem is not None and self.sleep is None and step.parts == motion_parts(self._solver) == 1:
-            rows, solver_bodies, _ = started(problem, contacts, step.friction)
+            rows, solver_bodies, _, impacts = started(problem, contacts, step.friction)
             memory = memory._replace(rows=rows, solver_bodies=solver_bodies, is_built=True)
+            if len(log.loads) or log.progress[WATCHED]:
+                received = log_impulses(log, log.received, contacts, impacts, step.bodies.count)
+                log = log._replace(received=received)
         while True:
             self._is_plain = self._is_plain and step.motion is None
             step = step if self._is_plain else with_rare(step)
-            following = own_contacts(self._advance(step, step.motion, contacts, self.sleep, self._options, memory, log))
+            given = step, step.motion, contacts, self.sleep, self._options, memory, log
+            following, received = self._advance(*given)
+            following = own_contacts(following)
             if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.parts * len(log.contacts):
-                return following
+                return following, received
             # A circle is fast. What has been built is used up.
             self._is_plain, contacts, memory = False, following, self.memory(step)
+            log = log._replace(received=received)
 
 
 @njit(cache=True, error_model="numpy")
@@ -219,6 +236,7 @@ class StepProblem(NamedTuple):
     rows: Rows  # their impulses are those that the state starts from
     solver_bodies: np.ndarray  # (n + 4, 4): after gravity, before impulses
     friction: float | None  # μ, or None where there are no tangent rows (`started`)
+    impacts: np.ndarray  # (m, 2): what the second bodies of the contacts received in the impacts, N·s; (0, 2) if e = 0
 
 
 def leaves_tangents_out(state: State, solver) -> bool:
@@ -261,20 +279,25 @@ def motion_parts(solver) -> int:
 
 def after_impacts(state: State) -> State:
     """The state with the velocities after the impacts of its next step (`impacts`); itself where e = 0."""
+    return _after_impacts(state)[0]
+
+
+def _after_impacts(state: State) -> tuple[State, np.ndarray]:
+    """`after_impacts`, and `StepProblem.impacts`."""
     if state.world.restitution == 0.0:
-        return state
+        return state, np.zeros((0, 2))
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy(), spin=state.bodies.spin.copy())
-    state = state.replace(bodies=bodies)
-    rebound(step_input(state, None), state.contacts, np.zeros((0, 2)))
-    return state
+    state, impacts = state.replace(bodies=bodies), np.zeros((state.contacts.count, 2))
+    rebound(step_input(state, None), state.contacts, impacts)
+    return state, impacts
 
 
 def step_problem(state: State, scales: ContactScales | None = None) -> StepProblem:
     """The contact problem of the next step, with tangents. scales: the state's, if at hand."""
-    state = after_impacts(state)
+    state, impacts = _after_impacts(state)
     solver_bodies = np.empty((state.bodies.count + 4, 4))
     step = step_input(state, None, scales)
-    return StepProblem(build_rows(step, state.contacts, solver_bodies), solver_bodies, step.friction)
+    return StepProblem(build_rows(step, state.contacts, solver_bodies), solver_bodies, step.friction, impacts)
 
 
 def started(problem: StepProblem, contacts: Contacts, friction: float | None) -> StepProblem:
@@ -283,7 +306,7 @@ def started(problem: StepProblem, contacts: Contacts, friction: float | None) ->
     impulse[:, NORMAL], impulse[:, TANGENT] = contacts.normal_start, contacts.tangent_start
     if friction is None:
         data, impulse = data[:, : NORMAL_MASS + 1].copy(), impulse[:, :TANGENT].copy()
-    return StepProblem(Rows(problem.rows.body, data, impulse), problem.solver_bodies, friction)
+    return problem._replace(rows=Rows(problem.rows.body, data, impulse), friction=friction)
 
 
 def contacts_of(state: State) -> Contacts:
@@ -309,7 +332,7 @@ def solve(
     settings, n = settings_of(solver), state.bodies.count
     state = state.replace(contacts=state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start))
     friction = None if leaves_tangents_out(state, solver) else state.world.friction
-    rows, solver_bodies, _ = started(problem or step_problem(state), state.contacts, friction)
+    rows, solver_bodies, *_ = started(problem or step_problem(state), state.contacts, friction)
     solver_bodies, theta = solver_bodies.copy(), np.empty(solver.sweeps)
     sweeps = solve_velocities(rows, friction, settings, solver_bodies, theta)
     impulse = rows.impulse

@@ -1,9 +1,8 @@
 """Forces in the user's terms: of contacts, on circles, walls and segments; stress, coordination, neighbours.
 
-A force is an impulse over Δt: λ / Δt is the mean over the step, or over the last substep of a divided one, that solved
-the impulses which the state carries. Of a solved state (`on_step`) that is its own step; of any other the step before,
-without the contacts that have opened since. Impulses of rebounds (e > 0) are in no contact:
-`Simulation.force_on` adds up everything over time.
+A force is an impulse over Δt. Of a solved state (`on_step`, `Simulation.solved`) it is the mean over its step, with all
+substeps and rebounds. Any other state has the solved impulses of the step before, or of its last substep, without the
+contacts that have opened since and without rebounds. `Simulation.force_on` adds up everything over time.
 """
 
 from __future__ import annotations
@@ -46,13 +45,13 @@ def forces(state: State) -> Forces:
     """
     check_types(state)
     if not has_engine_arrays(state):
-        state = ready(state)
+        state = ready(state, of_step=True)
     c, n, segments = state.contacts, state.bodies.count, len(state.world.segments)
     impulses = c.normal_impulse, c.tangent_impulse
     places = c.body_a, c.body_b, c.normal, c.separation, state.bodies.radius
     contact, on, torque = sum_forces(*places, *impulses, 1.0 / state.dt, segments)
     if len(on) != n + 4 + segments:
-        ready(state)  # which says why: to look for it first would take longer than the sums
+        ready(state, of_step=True)  # which says why: to look for it first would take longer than the sums
     return Forces(contact, on[:n], torque, dict(zip(SIDES, on[n:])), on[n + 4 :])
 
 
@@ -89,7 +88,7 @@ def stress(state: State) -> np.ndarray:
     l: from the centre to a contact. f: of the contact on the circle. Half of the trace is the pressure. At rest σ is
     symmetric. Source: Christoffersen, Mehrabadi and Nemat-Nasser, J. Appl. Mech. 48, 339 (1981).
     """
-    state = ready(state)
+    state = ready(state, of_step=True)
     on_contact = forces(state).contact[:, None]
     bodies, c = state.bodies, state.contacts
     total = np.zeros((bodies.count, 2, 2))
@@ -119,7 +118,7 @@ def mean_stress(state: State, spacing: float) -> np.ndarray:
 
 def coordination(state: State) -> np.ndarray:
     """How many contacts of each circle push, (n,): λ_n > 0."""
-    state = ready(state)
+    state = ready(state, of_step=True)
     c, n = state.contacts, state.bodies.count
     pushes = c.normal_impulse > 0
     return sum(np.bincount(body[pushes], minlength=n)[:n] for body in (c.body_a, c.body_b))
@@ -132,6 +131,6 @@ def name_of(state: State, body: int) -> int | str:
 
 def neighbours(state: State, circle: int) -> list[int | str]:
     """What touches a circle: numbers of circles, "floor", "right", "ceiling", "left", "segment 3"."""
-    state = ready(state)
+    state = ready(state, of_step=True)
     circle, c = integer("circle", circle, most=state.bodies.count - 1), state.contacts
     return [name_of(state, body) for body in [*c.body_a[c.body_b == circle], *c.body_b[c.body_a == circle]]]

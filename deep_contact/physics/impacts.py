@@ -29,10 +29,10 @@ SLOWEST = 1e-4
 
 
 @njit(cache=True, error_model="numpy")
-def rebound(step, contacts, loads):
+def rebound(step, contacts, impulse):
     """Let circles that meet rebound, in place on their velocities and spins, where e > 0. step: `StepInput`.
 
-    loads: of `StepLog`, to which what walls and segments receive is added.
+    impulse: to which what the second bodies of the contacts receive is added, (m, 2), N·s; (0, 2) where nobody asks.
 
     Approaches of up to (1 − e²) times the scene's `restitution_threshold`, and of what gravity gives in a step, do not
     rebound, so that piles come to rest.
@@ -54,13 +54,13 @@ def rebound(step, contacts, loads):
         for i in range(contacts.body_a.shape[0]):
             a, b = contacts.body_a[i], min(contacts.body_b[i], n)
             if max(changed[a], changed[b]) >= k - 1 and parting_speed(bodies, contacts, i, ground) < -least:
-                impulse = strike(bodies, contacts, i, ground, restitution, step.friction, step.segments)
+                p_x, p_y = strike(bodies, contacts, i, ground, restitution, step.friction, step.segments)
                 changed[a] = k
                 if b < n:
                     changed[b] = k
-                elif loads.shape[0] > 0:
-                    loads[contacts.body_b[i] - n, 0] += impulse[0]
-                    loads[contacts.body_b[i] - n, 1] += impulse[1]
+                if impulse.shape[0] > 0:
+                    impulse[i, 0] += p_x
+                    impulse[i, 1] += p_y
                 hits += 1
         if hits == 0:
             return

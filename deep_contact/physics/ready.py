@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.physics.engine import contacts_of
-from deep_contact.state import LIMITS, State, StateWithContacts, no_contacts
+from deep_contact.state import LIMITS, Contacts, State, StateWithContacts, no_contacts
 from deep_contact.state.checks import UNIT, check_limits, check_state, check_types, make_bodies
 
 _POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
@@ -25,9 +25,10 @@ COINCIDENT = 0.1
 """Distance of two centres, in the smaller radius, below which `simulate` warns."""
 
 
-def ready(state: State) -> StateWithContacts:
+def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
     """The state checked and completed: valid, within limits, its arrays as compiled code takes them, contacts found.
 
+    of_step: with those contacts of a solved state that came during its step; otherwise without.
     Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.
     """
     check_types(state)
@@ -39,7 +40,20 @@ def ready(state: State) -> StateWithContacts:
         state = state.replace(contacts=contacts_of(state))
         _warn_of_coincidence(state)
         _warn_of_outside(state)
+    elif state.solved and not (of_step or state.holds_solution):
+        state = _at_its_begin(state)
     return state
+
+
+def _at_its_begin(state: StateWithContacts) -> StateWithContacts:
+    """The solved state without the contacts that came during its step: they started from 0, and are not yet there."""
+    contacts, n = state.contacts, state.bodies.count
+    later = (contacts.normal_start == 0.0) & (contacts.tangent_start == 0.0)
+    if later.any():
+        end = n + 4 + len(state.world.segments)
+        pairs, here = (one.body_a * end + one.body_b for one in (contacts, contacts_of(state)))
+        contacts = Contacts(*(values[~later | np.isin(pairs, here)] for values in contacts))
+    return state.replace(contacts=contacts)
 
 
 def _warn_of_coincidence(state: StateWithContacts) -> None:

@@ -82,10 +82,16 @@ def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
     )  # fmt: skip
 
 
-DONE, WORK, LAST_SWEEPS = range(3)
+DONE, WORK, LAST_SWEEPS, WATCHED = range(4)
 """Elements of `StepLog.progress`: substeps done; the work, in relaxations, after which a call ends; sweeps of the last
-part."""
+part; whether the call is one step whose impulses are logged in `StepLog.received`."""
 
+PAIR, X, Y, N_X, N_Y, SEPARATION, P_X, P_Y = range(8)
+"""Columns of `StepLog.received`: the two bodies as one number (`pair_of`); the place, m, normal and separation, m, with
+which the contact came; the impulse on its second body, N·s."""
+
+MOST_BODIES = 2**26
+"""Walls and segments included: a pair of so many is one number that float64 holds exactly."""
 
 BESIDE_SWEEPS = 20
 """Work of a part beside its sweeps, in relaxations a contact."""
@@ -99,19 +105,22 @@ class StepLog(NamedTuple):
     theta: np.ndarray  # the last, N·s
     relaxations: np.ndarray
     parts: np.ndarray  # of a step
-    progress: np.ndarray  # (3,): `DONE`, `WORK`, `LAST_SWEEPS`
+    progress: np.ndarray  # (4,): `DONE`, `WORK`, `LAST_SWEEPS`, `WATCHED`
     loads: np.ndarray  # (4 + S, 2): the sum of all that walls and segments received, N·s; (0, 2) where nobody asks
+    received: np.ndarray  # (k, 8): what pairs received in a step that is watched, sorted by `PAIR`: rebounds and solves
 
 
 def make_log(steps: int, loads: int = 0) -> StepLog:
     """A log for so many steps, which one call may do all. loads: walls and segments, or 0."""
     columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64, np.int64))
-    return StepLog(*columns, np.array([0, np.iinfo(np.int64).max, 0]), np.zeros((loads, 2)))
+    progress = np.array([0, np.iinfo(np.int64).max, 0, 0])
+    return StepLog(*columns, progress, np.zeros((loads, 2)), np.zeros((0, 8)))
 
 
-def some_steps(log: StepLog, first: int, count: int, work: int) -> StepLog:
+def some_steps(log: StepLog, first: int, count: int, work: int, is_watched: bool) -> StepLog:
     """The rows of a log from `first` on, as views, for a call that ends after so much work."""
-    return StepLog(*(column[first : first + count] for column in log[:5]), np.array([0, work, 0]), log.loads)
+    progress = np.array([0, work, 0, is_watched])
+    return StepLog(*(column[first : first + count] for column in log[:5]), progress, *log[6:])
 
 
 @njit(cache=True)
@@ -127,10 +136,83 @@ def log_part(log, k, contacts, sweeps, theta, relaxations):
 
 
 @njit(cache=True)
-def add_loads(log, contacts, n, share):
-    """Add what walls and segments received of this share of a step to the log, in place. n: circles."""
-    for i in range(contacts.body_a.shape[0] if log.loads.shape[0] > 0 else 0):
-        wall, p_n, p_t = contacts.body_b[i] - n, contacts.normal_impulse[i], contacts.tangent_impulse[i]
+def is_asked(log):
+    """Whether a log takes impulses."""
+    return log.loads.shape[0] > 0 or log.progress[WATCHED] != 0
+
+
+@njit(cache=True)
+def impulses_of(contacts, share):
+    """A share of the impulses of contacts on their second bodies, (m, 2), N·s."""
+    impulse = np.empty((contacts.body_a.shape[0], 2))
+    for i in range(impulse.shape[0]):
+        p_n, p_t = share * contacts.normal_impulse[i], share * contacts.tangent_impulse[i]
+        impulse[i, 0] = p_n * contacts.normal[i, 0] + p_t * contacts.normal[i, 1]
+        impulse[i, 1] = p_n * contacts.normal[i, 1] - p_t * contacts.normal[i, 0]
+    return impulse
+
+
+@njit(cache=True)
+def log_impulses(log, received, contacts, impulse, n):
+    """Log impulses on the second bodies of contacts, (m, 2), N·s: the loads in place. Returns `StepLog.received`.
+
+    n: circles.
+    """
+    m, j = impulse.shape[0], 0
+    for i in range(m if log.loads.shape[0] > 0 else 0):
+        wall = contacts.body_b[i] - n
         if wall >= 0:
-            log.loads[wall, 0] += share * (p_n * contacts.normal[i, 0] + p_t * contacts.normal[i, 1])
-            log.loads[wall, 1] += share * (p_n * contacts.normal[i, 1] - p_t * contacts.normal[i, 0])
+            log.loads[wall, 0] += impulse[i, 0]
+            log.loads[wall, 1] += impulse[i, 1]
+    if m == 0 or log.progress[WATCHED] == 0:
+        return received
+    received = with_pairs(received, contacts)
+    for i in range(m):
+        while received[j, PAIR] < pair_of(contacts, i):
+            j += 1
+        received[j, P_X] += impulse[i, 0]
+        received[j, P_Y] += impulse[i, 1]
+    return received
+
+
+@njit(cache=True)
+def with_pairs(received, contacts):
+    """`StepLog.received` with the pairs of these contacts, sorted as they are; itself where it has them all."""
+    k, m, new, j = received.shape[0], contacts.body_a.shape[0], 0, 0
+    for i in range(m):
+        while j < k and received[j, PAIR] < pair_of(contacts, i):
+            j += 1
+        new += j == k or received[j, PAIR] > pair_of(contacts, i)
+    if new == 0:
+        return received
+    merged, i, j = np.zeros((k + new, 8)), 0, 0
+    for row in range(k + new):
+        if j < k and (i == m or received[j, PAIR] <= pair_of(contacts, i)):
+            i += i < m and received[j, PAIR] == pair_of(contacts, i)
+            merged[row] = received[j]
+            j += 1
+        else:
+            merged[row, PAIR], merged[row, SEPARATION] = pair_of(contacts, i), contacts.separation[i]
+            merged[row, X], merged[row, Y] = contacts.position[i, 0], contacts.position[i, 1]
+            merged[row, N_X], merged[row, N_Y] = contacts.normal[i, 0], contacts.normal[i, 1]
+            i += 1
+    return merged
+
+
+@njit(cache=True)
+def pair_of(contacts, i):
+    """The two bodies of the i-th contact as one number, in the order of contacts."""
+    return contacts.body_a[i] * MOST_BODIES + contacts.body_b[i]
+
+
+def of_whole_step(contacts: Contacts, received: np.ndarray) -> Contacts:
+    """The contacts of a step and those that came during it, with all that they gave in it.
+
+    contacts: at its begin. received: of `StepLog`.
+    """
+    pair, x, y, n_x, n_y, separation, p_x, p_y = received.T
+    starts = np.zeros((2, len(pair)))
+    starts[:, np.isin(pair, contacts.body_a * MOST_BODIES + contacts.body_b)] = contacts[7:]
+    impulses = np.maximum(p_x * n_x + p_y * n_y, 0.0), p_x * n_y - p_y * n_x
+    places = np.column_stack([x, y]), np.column_stack([n_x, n_y]), separation.copy()
+    return Contacts(*np.divmod(pair.astype(np.int64), MOST_BODIES), *places, *impulses, *starts)

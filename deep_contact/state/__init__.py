@@ -196,9 +196,9 @@ class State:
 
     A scene is a state at time 0. `contacts` is None until they have been looked for. `solver` is what the run uses
     (options of `physics.solvers`, or None).
-    If `solved`, the contacts hold the impulses which the step from here solved; if not, they hold the impulses
-    carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does the step from
-    `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.
+    If `solved`, the contacts hold what they gave in the step from here, in all its substeps and rebounds; if not, they
+    hold the impulses carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does
+    the step from `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.
 
     States are equal if all numbers and settings are. The fields cannot be set; nothing in this package writes into the
     arrays of a state that it is given, or hands out arrays that a later step writes into.
@@ -217,6 +217,12 @@ class State:
     def __post_init__(self):
         if not isinstance(self.bodies, Bodies):
             raise ValueError(f"bodies: expected Bodies, as dc.make_bodies makes them, got {type(self.bodies).__name__}")
+
+    @property
+    def holds_solution(self) -> bool:
+        """Whether the contacts hold the solution of their contact problem: of a step without substeps and rebounds."""
+        is_divided = max(getattr(self.solver, "substeps", 1), getattr(self.solver, "most_substeps", None) or 1) > 1
+        return self.solved and self.world.restitution == 0.0 and not is_divided
 
     @property
     def scales(self) -> ContactScales:
@@ -303,6 +309,17 @@ def native(state: State) -> State:
             arrays = (array.astype(array.dtype.newbyteorder("="), copy=False) for array in part)
             state = state.replace(**{name: type(part)(*arrays)})
     return state
+
+
+def read_only(state: S) -> S:
+    """The state with views of its arrays that cannot be written into."""
+
+    def view(array: np.ndarray) -> np.ndarray:
+        array = array.view()
+        array.flags.writeable = False
+        return array
+
+    return state.replace(bodies=Bodies(*map(view, state.bodies)), contacts=Contacts(*map(view, state.contacts)))
 
 
 def contact_lines(state: State) -> np.ndarray:

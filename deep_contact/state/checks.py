@@ -161,6 +161,12 @@ def check_types(state) -> State:
     return state
 
 
+def check_solution(state: State) -> None:
+    """Raise ValueError where a state does not hold the solution of its contact problem (`State.holds_solution`)."""
+    if state.contacts is None or not state.holds_solution:
+        raise ValueError(f"state.solved: expected a state of one solve, without substeps and rebounds, got {state!r}")
+
+
 def check_limits(state: State) -> State:
     """The state itself, if all it holds is within `LIMITS`. Raises ValueError naming the quantity, limits and value."""
     parts = {name: getattr(state, name) for name in ("bodies", "contacts", "world", "dt", "scales")}

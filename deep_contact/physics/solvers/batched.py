@@ -41,7 +41,7 @@ from deep_contact.physics.position_correction import (
 from deep_contact.physics.segments import positions_before
 from deep_contact.physics.solvers.pgs import MOST_SWEEPS, PGS
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
-from deep_contact.physics.step import DONE, WORK, add_loads, log_part
+from deep_contact.physics.step import DONE, WORK, impulses_of, is_asked, log_impulses, log_part
 from deep_contact.physics.substeps import depart, part_of, parts_of, rejoin
 from deep_contact.state import Bodies
 
@@ -207,12 +207,13 @@ FAST, FINITE, LISTED = range(3)
 PAIRS_FOUND, PARTS = range(2)
 """Columns of `Shared.counts`."""
 
-_FIELDS = ("plan", "tiles", "solved", "contacts", "memory", "flags", "counts")
+_FIELDS = ("plan", "tiles", "solved", "contacts", "memory", "flags", "counts", "received")
 """What a team shares of a run, in a `Shared`. Rank 0 alone replaces it, between barriers, where it is too small.
 
 plan: `BatchPlan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and this one. memory: `StepMemory`.
 flags: what a thread tells the others, (size, 8): whether a circle of its share is fast, whether all are finite, whether
-there is a list of near pairs. counts: pairs of its share that touch, parts of a substep, (size, 8).
+there is a list of near pairs. counts: pairs of its share that touch, parts of a substep, (size, 8). received: of
+`StepLog`.
 """
 
 if config.DISABLE_JIT:
@@ -240,19 +241,19 @@ def make_shared(contacts, memory, size):
     n = memory.cells.cell.shape[0]
     plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1)
     flags, counts = np.zeros((size, 8), np.bool_), np.zeros((size, 8), np.int64)
-    return Shared(plan, tiles, contacts, contacts, memory, flags, counts)
+    return Shared(plan, tiles, contacts, contacts, memory, flags, counts, np.zeros((0, 8)))
 
 
 @njit(cache=True)
-def go_on(shared, contacts, memory):
-    """Let the next steps start from these contacts in this memory, in place."""
-    shared.contacts, shared.memory = contacts, memory
+def go_on(shared, contacts, memory, received):
+    """Let the next steps start from these contacts in this memory, in place. received: of `StepLog`."""
+    shared.contacts, shared.memory, shared.received = contacts, memory, received
 
 
 @njit(cache=True)
 def contacts_in(shared):
-    """The contacts that the next step starts from."""
-    return shared.contacts
+    """The contacts that the next step starts from, and `StepLog.received`."""
+    return shared.contacts, shared.received
 
 
 class Share(NamedTuple):
@@ -312,7 +313,7 @@ def step_by_team(step, options, shared, mine, buffer, log, k):
     bodies, segments, scales, team = step.bodies, step.segments, step.scales, mine.team
     flags, theta, is_built = shared.flags, shared.memory.theta, shared.memory.is_built
     if team.rank == 0:
-        plan_step(step, shared, log.loads)
+        plan_step(step, shared, log)
     wait(team)
     plan, tiles, solved = shared.plan, shared.tiles, shared.solved
     velocities, before = tiles.solver_bodies[mine.first : mine.last], positions_before(bodies, segments)
@@ -340,8 +341,10 @@ def step_by_team(step, options, shared, mine, buffer, log, k):
         if sweeps > 0 and not flags[:, FINITE].all():
             theta[sweeps - 1] = np.nan
         log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
-        add_loads(log, solved, bodies.mass.shape[0], 1.0 / step.parts)
-    return next_contacts(step, options, shared, mine, before, buffer)
+        if is_asked(log):
+            impulse = impulses_of(solved, 1.0 / step.parts)
+            shared.received = log_impulses(log, shared.received, solved, impulse, bodies.mass.shape[0])
+    return next_contacts(step, options, shared, mine, before, buffer, least_known(step, log))
 
 
 @njit(cache=True)
@@ -353,7 +356,7 @@ def take_velocities(solver_bodies, first, velocities):
 
 
 @njit(cache=True, error_model="numpy")
-def plan_step(step, shared, loads):
+def plan_step(step, shared, log):
     """What a team needs before it solves the contacts, in `shared`: a plan for them, room for their tiles, impacts."""
     n, contacts = step.bodies.mass.shape[0], shared.contacts
     if not batches.is_plan_of(shared.plan, n, contacts, shared.solved):
@@ -361,12 +364,19 @@ def plan_step(step, shared, loads):
     shared.tiles = batches.with_room(shared.plan, shared.tiles)
     shared.solved = contacts
     if not shared.memory.is_built:
-        rebound(step, contacts, loads)
+        impacts = log.loads[:0]
+        if is_asked(log):
+            impacts = np.zeros((contacts.body_a.shape[0], 2))
+        rebound(step, contacts, impacts)
+        shared.received = log_impulses(log, shared.received, contacts, impacts, n)
 
 
 @njit(inline="always")
-def next_contacts(step, options, shared, mine, before, buffer):
-    """`collision.next_contacts` by a team, into `shared`. Returns the `Share`, with room for its pairs."""
+def next_contacts(step, options, shared, mine, before, buffer, least):
+    """`collision.next_contacts` by a team, into `shared`. Returns the `Share`, with room for its pairs.
+
+    least: of `collision.write_geometry`.
+    """
     bodies, box, segments, skin, team = step.bodies, step.box, step.segments, step.scales.wall_skin, mine.team
     cells, solved = shared.memory.cells, shared.solved
     if team.rank == 0:
@@ -376,10 +386,10 @@ def next_contacts(step, options, shared, mine, before, buffer):
     wait(team)
     if shared.flags[0, LISTED]:
         mine = find_touching(step, shared, buffer, mine)
-        describe_touching(step, options, shared, mine)
+        describe_touching(step, options, shared, mine, least)
     elif team.rank == 0:
         shared.contacts = collision.contacts_at(
-            bodies.position, bodies.radius, box, segments, skin, cells, buffer, least_known(step)
+            bodies.position, bodies.radius, box, segments, skin, cells, buffer, least
         )
         collision.carry_impulses(solved, shared.contacts, options.carry)
     wait(team)
@@ -387,9 +397,9 @@ def next_contacts(step, options, shared, mine, before, buffer):
 
 
 @njit(cache=True)
-def least_known(step):
-    """`collision.write_geometry`'s `least` within a call: impacts read all, tiles that of walls and segments."""
-    return 0 if step.restitution > 0.0 else step.bodies.mass.shape[0]
+def least_known(step, log):
+    """`collision.write_geometry`'s `least` within a call: logs and impacts read all, tiles those of walls."""
+    return 0 if step.restitution > 0.0 or is_asked(log) else step.bodies.mass.shape[0]
 
 
 @njit(inline="always")
@@ -433,14 +443,14 @@ def find_touching(step, shared, buffer, mine):
 
 
 @njit(cache=True, error_model="numpy")
-def describe_touching(step, options, shared, mine):
+def describe_touching(step, options, shared, mine, least):
     """Write this thread's pairs where they belong among the contacts, with their geometry and what they carry."""
     bodies, skin, rank = step.bodies, step.scales.wall_skin, mine.team.rank
     before, count = shared.counts[:rank, PAIRS_FOUND].sum(), shared.counts[rank, PAIRS_FOUND]
     contacts = collision.some_contacts(shared.contacts, before, before + count)
     for i in range(count):
         contacts.body_a[i], contacts.body_b[i] = mine.body_a[i], mine.body_b[i]
-    collision.write_geometry(bodies.position, bodies.radius, step.box, step.segments, skin, contacts, least_known(step))
+    collision.write_geometry(bodies.position, bodies.radius, step.box, step.segments, skin, contacts, least)
     collision.carry_impulses(shared.solved, contacts, options.carry)
 
 
@@ -478,7 +488,7 @@ class _Run:
         if self._shared is None:
             self._size = threads_of(self._solver, step.bodies.count)
             self._shared = make_shared(contacts, memory, self._size)
-        go_on(self._shared, contacts, memory)
+        go_on(self._shared, contacts, memory, log.received)
         together(self._size, advance_by_team, step, options, log, self._shared)
         return contacts_in(self._shared)
 

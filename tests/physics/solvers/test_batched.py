@@ -115,7 +115,7 @@ def in_the_order_of_batches(plan):
 
 def test_a_sweep_is_the_sequential_one_in_the_order_of_the_batches(pile):
     # The same numbers up to rounding, θ and all.
-    (rows, solver_bodies, friction), found = engine.step_problem(pile), []
+    (rows, solver_bodies, friction, _), found = engine.step_problem(pile), []
     for solver, order in ((dc.PGS, in_the_order_of_batches(plan_of(pile))), (dc.BatchedPGS, slice(None))):
         copies, v, theta = contact_solver.Rows(*(f[order].copy() for f in rows)), solver_bodies.copy(), np.empty(30)
         settings = engine.settings_of(solver(tolerance=None))
@@ -135,7 +135,7 @@ def test_positions_are_corrected_in_the_order_of_the_batches(pile):
     sorted_contacts = type(state.contacts)(*(field[in_the_order_of_batches(plan)] for field in state.contacts))
     for _ in range(3):
         position_correction.correct_in_turn(expected, sorted_contacts, state.world.box, NO_SEGMENTS, state.scales)
-    rows, solver_bodies, _ = engine.step_problem(state)
+    rows, solver_bodies, *_ = engine.step_problem(state)
     tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n + 5, 1))
     for ground in range(n, plan.count[batches.ROWS], 5):
         position_correction.fill_ground(state.world.box, state.scales, tiles.centre[ground : ground + 5])
