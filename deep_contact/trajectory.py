@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deep_contact.state import notebook
+from deep_contact.state import notebook, read_only
 from deep_contact.validation import integer, number
 
 if TYPE_CHECKING:
@@ -73,10 +73,10 @@ class Trajectory:
         return self.stored.count
 
     def __getitem__(self, index: int) -> StateWithContacts:
-        return self.stored.state(range(len(self))[index])
+        return read_only(self.stored.state(range(len(self))[index]))
 
     def __iter__(self) -> Iterator[StateWithContacts]:
-        return map(self.stored.state, range(len(self)))
+        return (self[i] for i in range(len(self)))
 
     def __repr__(self) -> str:
         t = self.times

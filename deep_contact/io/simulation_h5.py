@@ -26,7 +26,7 @@ import numpy as np
 from deep_contact.io import hdf5
 from deep_contact.io.files import FileError, write_bytes
 from deep_contact.physics.solvers import METHODS, solver_from
-from deep_contact.state import Bodies, Contacts, State, StateWithContacts, World, read_only
+from deep_contact.state import Bodies, Contacts, State, StateWithContacts, World
 from deep_contact.state.checks import check_state, contact_faults
 from deep_contact.state.scales import ContactScales
 from deep_contact.validation import expect, number, one_of, refuse_where
@@ -106,11 +106,11 @@ class StoredSimulation:
         return sum(array.nbytes for array in self.arrays.values())
 
     def state(self, index: int) -> StateWithContacts:
-        """State `index`, 0 … T − 1, to the last bit what was written, in arrays that cannot be written into."""
+        """State `index`, 0 … T − 1, in arrays of its own; to the last bit what was written."""
         if not 0 <= index < self.count:
             raise IndexError(f"index: expected one from 0 to {self.count - 1}, got {index}")
         a, of_contacts = self.arrays, slice(*self.arrays["contact_offset"][index : index + 2])
-        state = State(
+        return State(
             **{name: self.header[name] for name in _SHARED},
             bodies=Bodies(*(a[name][index].copy() for name in _BODIES), a["mass"].copy(), a["radius"].copy()),
             contacts=Contacts(*(a[name][of_contacts].copy() for name in _CONTACTS)),
@@ -118,7 +118,6 @@ class StoredSimulation:
             step=int(a["step"][index]),
             solved=bool(a["solved"][index]),
         )
-        return read_only(state)
 
 
 def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=None, options=None) -> StoredSimulation:
