@@ -157,9 +157,9 @@ class World:
     """What never moves: the box, and the constants that hold for every contact.
 
     box: (x_min, y_min, x_max, y_max), m. gravity: (g_x, g_y), m/s². friction: Coulomb's μ. restitution: Newton's e,
-    felt above (1 − e²) times the scales' threshold; the impulses of contacts are without those of rebounds
-    (`physics.impacts`). scales: `ContactScales` that hold whatever the scene; by default None, they follow it
-    (`State.scales`), and a circle more or less changes them by what it changes the mean radius.
+    felt above (1 − e²) times the scales' threshold (`physics.impacts`). scales: `ContactScales` that hold whatever the
+    scene; by default None, they follow it (`State.scales`), and a circle more or less changes them by what it changes
+    the mean radius.
 
     segments: any number of ((x, y), (x, y)), m: static lines beside the box, felt from both sides and at their ends,
     with the skin of the walls (edge shapes of Box2D). Those that share an end, to the last bit, are one line there: a
