@@ -12,6 +12,11 @@ LINEAR_SLOP = 0.005
 WALL_SKIN = 0.01
 """Walls are felt this far ahead of their surface, m (`b2_polygonRadius` of Box2D's edge shapes)."""
 
+NEARLY = 1.0 + 1e-4
+"""Circles, walls and segments touch within so many times their reach: circles of 1 m with a gap of 2e-4 m, 1 / 25 of
+the slop. What few sweeps leave of a velocity parts what touches exactly, and a contact that is lost comes back without
+its impulses."""
+
 BAUMGARTE = 0.2
 """Share of the penetration beyond the slop that one sweep of position correction removes."""
 
@@ -19,7 +24,7 @@ POSITION_TOLERANCE = 3.0
 """Position correction stops once no contact penetrates deeper, in slops."""
 
 MAX_ROTATION = 0.5 * 3.141592653589793
-"""Largest rotation of a body in one step, rad."""
+"""Largest rotation of a body in one step with the fixed scales of Box2D 2.3, rad."""
 
 GRAVITY = (0.0, -9.81)
 """m/s²"""

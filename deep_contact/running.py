@@ -11,6 +11,7 @@ import numpy as np
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import convergence_record
 from deep_contact.physics.engine import Steps, step_input
+from deep_contact.physics.load import load_of
 from deep_contact.physics.step import DONE, LAST_SWEEPS, StepLog, make_log, of_whole_step, some_steps
 from deep_contact.state import Bodies, Contacts, StateWithContacts, read_only
 from deep_contact.warm_start import Builtin, NoStart, starting_impulses
@@ -47,20 +48,20 @@ def run(
         if on_step is not None:
             on_step(*calls.seen)
         if until is not None:
-            is_over, calls.is_own = bool(until(read_only(calls.state))), False
+            is_over, calls.is_own = bool(until(read_only(calls.known()))), False
         if record is not None and (done % every == 0 or done == steps or is_over):
-            frames.append(calls.state)
+            frames.append(calls.known())
             loads.append(log.loads.copy())
             solved += calls.seen[:1]
             calls.is_own = False
-    return calls.state, StepLog(*(column[:done] for column in log[:5]), *log[5:]), frames, loads, solved
+    return calls.known(), StepLog(*(column[:done] for column in log[:5]), *log[5:]), frames, loads, solved
 
 
 class _Calls:
     """Calls of the engine that go on from `state`."""
 
     def __init__(self, state: StateWithContacts, start, sleep: bool):
-        self.state, self._start, self._solver = state, start, state.solver
+        self.state, self._start, self._solver = state.replace(load=None), start, state.solver
         self.is_own = False  # whether nobody else sees the arrays that a step writes into
         self.seen: tuple = ()  # what `on_step` sees of the last step that was watched
         self._work = MOST_WORK // 8
@@ -69,6 +70,10 @@ class _Calls:
         self._steps = Steps(state.solver, state.bodies.count, sleep=sleep, carry=not isinstance(start, NoStart))
         # Before the arrays of the result, so that its release leaves no gap on top of the heap, which is inputs back.
         self._steps.memory(step_input(state, state.solver, self._scales), state.contacts.count)
+
+    def known(self) -> StateWithContacts:
+        """The state for others, which says what its impulses were solved for."""
+        return self.state.replace(load=load_of(self.state))
 
     def affordable(self) -> int:
         """So many steps may be done by a call."""

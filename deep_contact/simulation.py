@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -15,27 +15,20 @@ import numpy as np
 from deep_contact.compiled.team import cores
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord
-from deep_contact.physics.engine import ContactSolution, contacts_of, step_problem
+from deep_contact.physics.engine import ContactSolution, contacts_of
 from deep_contact.physics.forces import SIDES
+from deep_contact.physics.load import has_new_load, load_of, with_a_past, with_new_load
 from deep_contact.physics.ready import ready
-from deep_contact.physics.relaxation import at_rest
-from deep_contact.physics.solvers import PGS, NesterovPGS
+from deep_contact.physics.solvers import PGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
+from deep_contact.physics.substeps import shift_flights
 from deep_contact.presets import Accuracy, Decision, MeasuredAccuracy, PresetWarning, decide
 from deep_contact.running import run
 from deep_contact.state import State, StateWithContacts, notebook
 from deep_contact.state.checks import check_types, checked_indices
 from deep_contact.trajectory import Trajectory
 from deep_contact.validation import expect, flag, integer, number, one_of
-from deep_contact.warm_start import Builtin, NoStart, Start, Support, WarmStart, starting_impulses, warm_start_of
-
-FIRST_SWEEPS = 500, 2000
-"""Least and most sweeps of the first step of a preset's run whose contacts carry no impulses and where something moves:
-with few sweeps a pile would fall into itself. Between them it is one for each circle."""
-
-RELAXED, RESTS = 2000, (1e-4, 0.02)
-"""Most iterations of the convex relaxation of such a step where nothing moves yet; and the speeds over what gravity
-gives in a step at which these end, and up to which what they find is a pile at rest."""
+from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
 
 
 class Simulation(NamedTuple):
@@ -225,7 +218,10 @@ def _simulate(
         warnings.warn(sentence, PresetWarning, stacklevel=3)
     # Not of a run that goes on, so that it comes to the same in one go and in parts.
     if decision and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
-        state = _with_a_past(state)
+        state = with_a_past(state)
+    elif has_new_load(state):
+        state = find_contacts(state)
+        state = state if isinstance(start, NoStart) else with_new_load(state, solver)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     state = state.replace(solver=solver)
     state, log, frames, loads, solved = run(state, start, steps, sleep, record, on_step, until, forces, stopped)
@@ -279,34 +275,11 @@ def simulate_many(
             raise
 
 
-def _with_a_past(state: StateWithContacts) -> StateWithContacts:
-    """The state with impulses at which it rests (`physics.relaxation`), or those of `FIRST_SWEEPS` sweeps.
-
-    Both start from what the positions say (`warm_start.Support`).
-    """
-    if state.contacts.count == 0:
-        return state
-    problem, gained = step_problem(state), state.dt * math.hypot(*state.world.gravity)
-    normal, tangent = Support().from_problem(state, None, problem)
-    ends, rests = (share * gained for share in RESTS)
-    speed = math.inf
-    if np.mean(state.bodies.velocity**2) < gained**2:
-        normal, tangent, speed = at_rest(problem, normal, tangent, iterations=RELAXED, speed=ends)
-    if speed > rests:
-        least, most = FIRST_SWEEPS
-        solver = NesterovPGS(sweeps=min(max(least, state.bodies.count), most), tolerance=None)
-        solution = engine.solve(state, for_state(solver, state), normal, tangent, problem)
-        normal, tangent = solution.normal_impulses, solution.tangent_impulses
-    contacts = state.contacts._replace(normal_start=normal, tangent_start=tangent)
-    if not state.solved:
-        contacts = contacts._replace(normal_impulse=normal, tangent_impulse=tangent)
-    return state.replace(contacts=contacts)
-
-
 def with_time_step(state: State, dt: float) -> State:
     """The state with another Δt, s; the impulses that it carries from the last step are scaled by the ratio.
 
     Without the scaling a change of Δt kicks a pile at rest, whose impulses are m g Δt (Box2D 2.3 scales by `dtRatio`).
+    Where e > 0 circles in flight keep their energy (`substeps.shift_flights`).
     """
     contacts = check_types(state).contacts
     if contacts is not None and number("dt", dt, above=0) != state.dt:
@@ -314,6 +287,9 @@ def with_time_step(state: State, dt: float) -> State:
         if not state.solved:  # whose impulses are the starts
             names += ["normal_impulse", "tangent_impulse"]
         contacts = contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
+        if state.world.restitution > 0.0 and state.step > 0:
+            state = state.replace(bodies=state.bodies._replace(velocity=state.bodies.velocity.copy()))
+            shift_flights(state.bodies, contacts, state.world.gravity, state.dt - dt)
     return state.replace(dt=dt, contacts=contacts)
 
 
@@ -338,10 +314,23 @@ def method_of(state: State, solver=None, start="builtin", accuracy=None, *, slee
         decision = decide(state, accuracy, sleep=sleep)
         solver, start = decision.solver, start if accuracy is None else decision.start
     solver = checked_solver(solver, state)
+    if decision and _goes_on(state, solver):
+        solver = state.solver
     if flag("sleep", sleep) and not entry_of(solver).can_sleep:
         raise ValueError(f"sleep: expected False with {type(solver).__name__}, got True")
     named = str(start) if isinstance(start, (str, Path)) else getattr(start, "__name__", type(start).__name__)
     return Method(solver, warm_start_of(start), "none" if start is None else named, decision)
+
+
+def _goes_on(state: State, solver) -> bool:
+    """Whether a run has come to this state with this solver, but for the division of its steps, which it then keeps.
+
+    A preset divides by the speed of the fastest circle, which changes in a run.
+    """
+    if state.step == 0 or type(state.solver) is not type(solver) or state.load not in (None, load_of(state)):
+        return False
+    divided = {"substeps": solver.substeps, "most_substeps": solver.most_substeps}
+    return replace(state.solver, **divided) == solver
 
 
 def checked_solver(solver, state: State):

@@ -3,6 +3,7 @@
     python scripts/run_tradeoff.py [--quick] [--jobs J] [--seed S] [--out FILE] [--work FOLDER]
     python scripts/run_tradeoff.py --errors     only the parts that need no quiet machine
     python scripts/run_tradeoff.py --add        errors of settings that the results file lacks, and times of all
+    python scripts/run_tradeoff.py --known      only judge the settings of the results file by answers that are known
 
 A list of scenes and settings, which `deep_contact.trade` runs, times and judges as those of a user's own scene. Every
 finished part is stored in the work folder, so an interrupted study goes on where it stopped. Several processes
@@ -26,6 +27,7 @@ from deep_contact.constants import TIME_STEP
 from deep_contact.presets import TABLE
 from deep_contact.reporting import results
 from deep_contact.studies import runs
+from deep_contact.studies.known import error as known_error
 from deep_contact.studies.parts import done
 from deep_contact.validation import expect
 
@@ -263,7 +265,15 @@ def study(
             for key, us in zip(keys, done(parts, FUNCTIONS, work=work, jobs=one, text="times")):
                 took[key].append(us)
     priced = [rows[key] | {"us": float(np.median(us)) if us else None, "times": us} for key, us in took.items()]
-    return {"errors": run_errors.ERRORS, "rows": priced, "presets": runs.presets(priced)}
+    return judged(priced)
+
+
+def judged(rows: list[dict]) -> dict:
+    """The data of the results file from its rows: with the errors of ours where the answer is known, and presets."""
+    ours = {row["name"]: row["setting"] for row in rows if "engine" not in row["setting"]}
+    known = {name: runs.rounded(known_error(setting)) for name, setting in ours.items()}
+    rows = [row | ({"known": known[row["name"]]} if row["name"] in known else {}) for row in rows]
+    return {"errors": run_errors.ERRORS, "rows": rows, "presets": runs.presets(rows)}
 
 
 def table(data: dict, cpu: str) -> dict:
@@ -273,7 +283,8 @@ def table(data: dict, cpu: str) -> dict:
         if "engine" in row["setting"] or row["us"] is None or not row["errors"]:
             continue
         options = {key: value for key, value in row["setting"].items() if key != "dt"} | {"tolerance": None}
-        new = {"name": row["name"], "options": options, "dt": row["setting"]["dt"], "us": {}, "errors": {}}
+        new = {"name": row["name"], "options": options, "dt": row["setting"]["dt"], "known": row["known"]}
+        new |= {"us": {}, "errors": {}}
         entry, n = settings.setdefault(row["name"], new), str(row["n_bodies"])
         entry["us"].setdefault(n, {})[row["kind"]] = round(row["us"], 2)
         errors = {key: runs.rounded(value[0]) for key, value in row["errors"].items() if value}
@@ -306,10 +317,16 @@ def main(arguments=None) -> None:
     add("--install", action="store_true", help="make these the numbers of the presets")
     add("--errors", action="store_true", help="only what needs no quiet machine; a later run adds times")
     add("--add", action="store_true", help="take the errors over that the results file has, and measure times anew")
+    add("--known", action="store_true", help="judge the settings that the file has by known answers; installs them")
     args = parser.parse_args(arguments)
     start, options = time.perf_counter(), QUICK if args.quick else FULL
     out = args.out or Path("runs/run_tradeoff_quick.json" if args.quick else "data/reference/run_tradeoff.json")
-    before = results.read_results(out) if args.add else None
+    before = results.read_results(out) if args.add or args.known else None
+    if args.known:
+        data = judged(before["data"]["rows"])
+        results.write_results(out, before | {"claims": list(claims(data)), "data": data}, digits=4)
+        results.write_json(TABLE, table(data, before["provenance"]["cpu"]))
+        return
     data = study(options, before, seed=args.seed, jobs=args.jobs, work=args.work, errors_only=args.errors)
     if data is None:
         return

@@ -42,7 +42,7 @@ def transform_state(state: State, k: int) -> State:
     segments = moved(np.reshape(state.world.segments, (-1, 2))).reshape(-1, 4)
     world = replace(state.world, box=box, gravity=gravity, segments=segments)
     if state.contacts is None:
-        return state.replace(world=world, bodies=bodies)
+        return state.replace(world=world, bodies=bodies, load=None)
     contacts, n = state.contacts, state.bodies.count
     # Walls are numbered counter-clockwise from the bottom; the mirror swaps right and left.
     wall = ((-1 if mirrored else 1) * (contacts.body_b - n) + turns) % 4
@@ -53,4 +53,4 @@ def transform_state(state: State, k: int) -> State:
         tangent_impulse=sign * contacts.tangent_impulse,
         tangent_start=sign * contacts.tangent_start,
     )
-    return state.replace(world=world, bodies=bodies, contacts=check_contacts(found, bodies, len(segments)))
+    return state.replace(world=world, bodies=bodies, contacts=check_contacts(found, bodies, len(segments)), load=None)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from deep_contact.constants import NEARLY
 from deep_contact.physics.segments import hold_beside, insert_pairs, may_cross, segment_gap
 from deep_contact.state import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
 
@@ -275,8 +276,7 @@ def choose_levels(radius, level):
     return levels
 
 
-ROUNDED = 1.0 + 1e-12
-"""Circles touch up to so many times the square of their reach: rounding does not part those of a column."""
+TOUCHING = NEARLY**2
 
 
 @njit(inline="always")
@@ -290,7 +290,7 @@ def circles_around(a, position, reach, levels, cells, found, m):
     for level in range(levels):
         columns, per_metre = int(grid[level, COLUMNS]), grid[level, PER_METRE]
         column, row = (x - grid[level, X]) * per_metre, (y - grid[level, Y]) * per_metre
-        span = (reach + grid[level, WIDEST]) * per_metre + 1e-9  # more than rounding
+        span = TOUCHING * (reach + grid[level, WIDEST]) * per_metre + 1e-9  # more than rounding
         left, right = int(max(column - span, 0.0)), int(min(column + span, columns - 1.0))
         if left > right:
             continue
@@ -306,7 +306,7 @@ def circles_around(a, position, reach, levels, cells, found, m):
                 d_x, d_y, within = circle[k, 0] - x, circle[k, 1] - y, circle[k, 2] + reach
                 # Written always and kept if it is near: cheaper than a branch nobody can predict.
                 found[m] = order[k]
-                m += (d_x * d_x + d_y * d_y <= ROUNDED * within * within) & (order[k] > a)
+                m += (d_x * d_x + d_y * d_y <= TOUCHING * within * within) & (order[k] > a)
     if m >= 0:
         _sort_run(found, first, m)
     return m
@@ -371,7 +371,7 @@ def write_near_pairs(position, radius, box, skin, cells, begin, end, body_a, bod
             dy = position[b, 1] - y
             reach = radius[b] + r
             body_a[np.uint32(m)], body_b[np.uint32(m)] = a, b
-            m += dx * dx + dy * dy <= ROUNDED * reach * reach
+            m += dx * dx + dy * dy <= TOUCHING * reach * reach
         before = m
         m = write_walls(x, y, r + skin, box, n, body_b, m)
         for k in range(before, m):
@@ -381,7 +381,8 @@ def write_near_pairs(position, radius, box, skin, cells, begin, end, body_a, bod
 
 @njit(cache=True)
 def write_walls(x, y, reach, box, n, body_b, m):
-    """Write the walls no farther from a centre than `reach`, m, from m on. Returns what m is then."""
+    """Write the walls that a centre is within reach of, m, from m on. Returns what m is then."""
+    reach *= NEARLY
     for wall, gap in enumerate((y - box[1], box[2] - x, box[3] - y, x - box[0])):
         if gap <= reach:
             body_b[m] = n + wall

@@ -26,6 +26,7 @@ from numba import njit
 from deep_contact.constants import MAX_ROTATION
 from deep_contact.physics.continuous import FAST, moved, stop_fast
 from deep_contact.physics.segments import surface_velocity
+from deep_contact.state.scales import FASTEST
 
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
 """Columns of the solver bodies, (n + 4, 4): velocity of the centre, s = ω r (m/s each), 1 / m (1/kg).
@@ -233,8 +234,8 @@ def store_impulses(rows, contacts, parts):
 def integrate_positions(bodies, solver_bodies, step, segments):
     """Give the bodies, in place, the solved velocities, and move them by those for Δt (symplectic Euler).
 
-    A displacement is cut to the largest translation, m, a rotation to `MAX_ROTATION`, and the velocity with it, as in
-    Box2D. Fast circles stop where they touch something (`continuous`). step: `StepInput`, of which the segments are.
+    A displacement is cut to the largest translation, m, and a rotation with it (`cut_motion`). Fast circles stop where
+    they touch something (`continuous`). step: `StepInput`, of which the segments are.
     Returns whether the bodies have moved: not where these are None and a circle is fast, whose stop is not compiled.
     """
     if segments is None:
@@ -274,7 +275,7 @@ def move(bodies, solver_bodies, dt, max_translation):
         v_x, v_y, turn = solver_bodies[i, V_X], solver_bodies[i, V_Y], solver_bodies[i, V_S] / bodies.radius[i]
         velocity[i, 0], velocity[i, 1], spin[i] = v_x, v_y, turn
         farthest, widest = max(farthest, v_x * v_x + v_y * v_y), max(widest, abs(turn))
-    if dt * math.sqrt(farthest) > max_translation or dt * widest > MAX_ROTATION:
+    if dt * math.sqrt(farthest) > max_translation or dt * widest > min(MAX_ROTATION, dt * FASTEST):
         cut_motion(velocity, spin, dt, max_translation)
     for i in range(angle.shape[0]):
         position[i, 0] += dt * velocity[i, 0]
@@ -285,14 +286,18 @@ def move(bodies, solver_bodies, dt, max_translation):
 
 @njit(cache=True, error_model="numpy")
 def cut_motion(velocity, spin, dt, max_translation):
-    """Cut velocities and spins, in place, to the largest translation and rotation within Δt."""
+    """Cut velocities and spins, in place, to the largest translation within Δt, m, and the largest rotation.
+
+    That is `MAX_ROTATION` where the scene has the fixed scales of Box2D; a disc may turn as fast as it likes.
+    """
+    max_rotation = MAX_ROTATION if max_translation < dt * FASTEST else dt * FASTEST
     for i in range(spin.shape[0]):
         distance, angle = dt * math.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2), abs(dt * spin[i])
         if distance > max_translation:
             velocity[i, 0] *= max_translation / distance
             velocity[i, 1] *= max_translation / distance
-        if angle > MAX_ROTATION:
-            spin[i] *= MAX_ROTATION / angle
+        if angle > max_rotation:
+            spin[i] *= max_rotation / angle
 
 
 @njit(cache=True, error_model="numpy")

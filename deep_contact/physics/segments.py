@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from deep_contact.constants import NEARLY
 from deep_contact.state import World
 
 BESIDE, START, END = range(3)
@@ -268,7 +269,7 @@ def insert_pairs(position, radius, segments, skin, body_a, body_b, m):
     for i in circles[: circles_beside(segments, position, position, circles)]:
         x, y = position[i, 0], position[i, 1]
         for s in near_box(segments, x, x, y, y, segments.every):
-            if touches(segments.line, segments.joined, s, x, y, radius[i] + skin):
+            if touches(segments.line, segments.joined, s, x, y, NEARLY * (radius[i] + skin)):
                 if end == body_a.shape[0]:
                     return -1
                 body_a[end], body_b[end] = i, n + 4 + s

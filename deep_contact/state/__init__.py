@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -60,7 +60,7 @@ LIMITS = {
 
 A state may hold any finite number, and files keep it; the engine refuses others (`checks.check_limits`). Within,
 nothing overflows, whatever the combination: λ / m <= 1e90 m/s, whose square is a float. A step makes an accepted state
-of one: a body leaves it with at most `scales.FASTEST` and π / (2 Δt), and the walls stop it. (Impulses alone may grow,
+of one: a body leaves it with at most `scales.FASTEST` m/s and rad/s, and the walls stop it. (Impulses alone may grow,
 after a start of 1e50 N·s.) Circles whose radius is below 1e-13 of their distance from the origin sink in.
 """
 
@@ -199,6 +199,7 @@ class State:
     If `solved`, the contacts hold what they gave in the step from here, in all its substeps and rebounds; if not, they
     hold the impulses carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does
     the step from `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.
+    `load` is what the impulses were solved for (`physics.load`), or None where that is unknown, as in a file.
 
     States are equal if all numbers and settings are. The fields cannot be set; nothing in this package writes into the
     arrays of a state that it is given, or hands out arrays that a later step writes into.
@@ -213,6 +214,7 @@ class State:
     dt: float = constants.TIME_STEP
     solver: object = None
     solved: bool = False
+    load: tuple[int, int] | None = field(default=None, compare=False)
 
     def __post_init__(self):
         if not isinstance(self.bodies, Bodies):
@@ -227,9 +229,7 @@ class State:
     @property
     def scales(self) -> ContactScales:
         """Lengths, speeds and times of the contact model in the steps of this state (`scales.contact_scales`)."""
-        world = self.world
-        bounces = world.restitution > 0.0
-        return contact_scales(self.bodies.radius, world.gravity, self.dt, world.scales, bounces=bounces)
+        return contact_scales(self.bodies.radius, self.world.gravity, self.dt, self.world.scales)
 
     def replace(self: S, **changes) -> S:
         """A copy with some fields changed.

@@ -21,7 +21,8 @@ from deep_contact import constants
 _GRAVITY = -constants.GRAVITY[1]
 
 FASTEST = 2e9
-"""Largest speed with which a body leaves a step, m/s: below `state.LIMITS`, so that what a step makes is accepted."""
+"""Largest speed, m/s, and spin, rad/s, with which a body leaves a step: below `state.LIMITS`, so that what a step makes
+is accepted."""
 
 FOLLOWS_SCENE = "scene"
 """Value of a solver's option that follows the scene: `registry.for_state` puts a number in its place."""
@@ -35,7 +36,7 @@ class ContactScales(NamedTuple):
     | slop                  | penetration that position correction leaves alone                     | m     |
     | wall_skin             | walls are felt this far ahead of their surface                        | m     |
     | max_correction        | largest displacement of one row in one sweep of position correction   | m     |
-    | max_translation       | largest displacement of a body in one step; no limit where e > 0      | m     |
+    | max_translation       | largest displacement of a body in one step; set by `BOX2D` alone      | m     |
     | restitution_threshold | approach speed above which a contact bounces, times (1 − e²)          | m/s   |
     | sleep_speed           | a circle is still up to this speed                                    | m/s   |
     | sleep_spin            | and up to this angular velocity                                       | rad/s |
@@ -65,12 +66,11 @@ BOX2D = ContactScales(
 """The absolute values of Box2D 2.3, whatever the size of the circles: `World(scales=BOX2D)`."""
 
 
-def contact_scales(
-    radius, gravity, dt: float, fixed: ContactScales | None = None, *, bounces: bool = False
-) -> ContactScales:
+def contact_scales(radius, gravity, dt: float, fixed: ContactScales | None = None) -> ContactScales:
     """The scales of a scene's steps: the fixed ones, or those that follow from its radii, (n,), m, gravity and Δt.
 
-    bounces: whether e > 0, where a cut of the largest translation would take energy. It is cut to `FASTEST` times Δt.
+    Only fixed scales limit how far a circle moves in a step: what is fast stops where it touches something
+    (`physics.continuous`). All are cut to `FASTEST` times Δt.
     """
     length = mean(radius)
     felt = math.sqrt(math.hypot(*gravity) * length / _GRAVITY)  # 0 without gravity
@@ -79,7 +79,7 @@ def contact_scales(
         slop=BOX2D.slop * length,
         wall_skin=BOX2D.wall_skin * length,
         max_correction=BOX2D.max_correction * length,
-        max_translation=math.inf if bounces else BOX2D.max_translation * length,
+        max_translation=math.inf,
         restitution_threshold=BOX2D.restitution_threshold * felt,
         sleep_speed=BOX2D.sleep_speed * felt,
         sleep_spin=BOX2D.sleep_spin * felt / length,

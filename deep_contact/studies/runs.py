@@ -19,7 +19,7 @@ from deep_contact import peers, trade
 from deep_contact.constants import GRAVITY, TIME_STEP
 from deep_contact.io import shipped
 from deep_contact.physics.scenes import drum, lattice_in_box
-from deep_contact.presets import FASTEST, PRESETS, keeping
+from deep_contact.presets import FASTEST, KNOWN, PRESETS, keeping
 from deep_contact.reporting import results
 from deep_contact.run_errors import Observation, observe
 from deep_contact.state import State
@@ -134,7 +134,7 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
     over the processes that measured times. Low is the least of them, and of those where all our errors are at the upper
     and all of theirs at the lower ends of their intervals; high the largest, and of those the other way round.
     """
-    known = [row for row in rows if row["us"] is not None and row["errors"]]
+    known = [row for row in rows if row["us"] is not None and row["errors"] and row.get("known", 0.0) <= KNOWN]
 
     def cheapest(n, engine, preset, kind="plain", at=0):
         candidates = [

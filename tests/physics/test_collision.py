@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from deep_contact.constants import WALL_SKIN
 from deep_contact.physics.collision import (
-    ROUNDED,
+    TOUCHING,
     carry_impulses,
     find_contacts,
     make_cells,
@@ -33,7 +33,7 @@ def brute_force_pairs(state):
     pairs = []
     for a in range(n):
         for b in range(a + 1, n):
-            if ((position[b] - position[a]) ** 2).sum() <= ROUNDED * (radius[a] + radius[b]) ** 2:
+            if ((position[b] - position[a]) ** 2).sum() <= TOUCHING * (radius[a] + radius[b]) ** 2:
                 pairs.append((a, b))
         gaps = (position[a, 1] - y_min, x_max - position[a, 0], y_max - position[a, 1], position[a, 0] - x_min)
         pairs += [(a, n + wall) for wall, gap in enumerate(gaps) if gap <= radius[a] + state.scales.wall_skin]

@@ -1,5 +1,7 @@
 """Steps and runs: free fall, rest, position correction, determinism, resuming."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import ROOT, assert_same_bits, circles_at
@@ -30,12 +32,33 @@ def test_unequal_masses_are_pushed_apart_by_inverse_mass():
     np.testing.assert_allclose(moved[0, 0], -3 * moved[1, 0], rtol=1e-9)
 
 
-def test_a_body_moves_at_most_two_metres_a_step():
+def test_a_body_moves_at_most_two_metres_a_step_with_the_scales_of_box2d():
     scene = dc.single_body(height=10.0)
     scene = scene.replace(bodies=scene.bodies._replace(velocity=np.array([[-1e5, 0.0]]), spin=np.array([1e5])))
+    scene = scene.replace(world=replace(scene.world, scales=dc.BOX2D))
     bodies = dc.step(scene, solver=dc.PGS()).bodies
     np.testing.assert_allclose(np.hypot(*(bodies.position - scene.bodies.position)[0]), dc.BOX2D.max_translation)
     np.testing.assert_allclose(bodies.angle[0], MAX_ROTATION)
+
+
+@pytest.mark.parametrize("solver", [dc.PGS(), dc.BatchedPGS()])
+def test_a_circle_of_a_centimetre_falls_and_turns_as_fast_as_any(solver):
+    """v = g t: rapier's own test; 2 mean radii a step would be 2 m/s."""
+    world = dc.World(box=(-10.0, -10.0, 10.0, 10.0), friction=0.0)
+    circle = dc.make_bodies([[0.0, 9.0]], radius=0.01, spin=500.0)
+    bodies = dc.simulate(dc.State(name="fall", world=world, bodies=circle), steps=100, solver=solver).state.bodies
+    np.testing.assert_allclose(bodies.velocity, [[0.0, -9.81]], rtol=1e-12)
+    np.testing.assert_allclose(bodies.spin, [500.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("accuracy", ["preview", "fast", "balanced", "accurate", "reference"])
+@pytest.mark.parametrize("overlap", [0.0, 1e-9])
+def test_a_pyramid_that_touches_exactly_stands(accuracy, overlap):
+    d, rows = 1.0 - overlap, 5
+    places = [[20 + (2 * i + k) * d, 1.01 + k * 3**0.5 * d] for k in range(rows) for i in range(rows - k)]
+    scene = dc.State(name="pyramid", world=dc.World(friction=1.0), bodies=dc.make_bodies(places))  # needs μ = 0.4975
+    top = dc.simulate(scene, steps=300, accuracy=accuracy).state.bodies.position[-1]
+    np.testing.assert_allclose(top, places[-1], atol=0.01)
 
 
 LOOSE = dc.PGS(sweeps=40, tolerance=1e-3, position_sweeps=4)

@@ -1,0 +1,123 @@
+"""Impulses that fit the load of a state: where it carries none yet, and where it carries those of another load.
+
+A pile whose gravity is switched off still has the impulses that held it up. A few sweeps do not take them back, and
+what is left becomes velocity. So a state remembers what its impulses were solved for (`State.load`). Where that has
+changed, they are solved anew, well, before the next step starts from them. A run that nothing disturbs keeps its bits.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+
+import numpy as np
+
+from deep_contact.physics.contact_solver import best_share, projected
+from deep_contact.physics.engine import StepProblem, solve, started, step_problem
+from deep_contact.physics.metrics import energy_norm
+from deep_contact.physics.relaxation import at_rest
+from deep_contact.physics.solvers import NesterovPGS
+from deep_contact.physics.support import supported
+from deep_contact.state import State, StateWithContacts, World
+from deep_contact.state.scales import mean, theta_tolerance
+
+SWEEPS = 500, 2000
+"""Least and most sweeps of a solve that has to be good: with few a pile would fall into itself. Between them it is one
+for each circle."""
+
+CLOSE = 10.0
+"""θ at which they end where the load has changed, in the default tolerance of solvers."""
+
+KICK = 0.001
+"""Speed, in √(g r), by which the fastest circle may become faster where carried impulses stay."""
+
+RELAXED, RESTS = 2000, (1e-4, 0.02)
+"""Most iterations of the convex relaxation where nothing moves yet; and the speeds over what gravity gives in a step at
+which these end, and up to which what they find is a pile at rest."""
+
+
+def load_of(state: State) -> tuple[int, int]:
+    """Digests of what the impulses of a state are solved for, and of its velocities.
+
+    The first is of the world, Δt, and all of the circles but how they move.
+    """
+    position, velocity, _, spin, mass, radius = map(np.ascontiguousarray, state.bodies)
+    load, motion = zlib.crc32(np.float64(state.dt), _of_world(state.world)), zlib.crc32(velocity, zlib.crc32(spin))
+    for values in (position, mass, radius):
+        load = zlib.crc32(values, load)
+    return load, motion
+
+
+def _of_world(world: World) -> int:
+    if (kept := vars(world).get("_digest")) is None:
+        numbers = *world.box, *world.gravity, world.friction, world.restitution, *np.ravel(world.segments)
+        dragging = world.surface_speeds if world.friction > 0 else ()
+        kept = zlib.crc32(np.array([*numbers, *dragging, *(world.scales or ())], np.float64))
+        vars(world)["_digest"] = kept  # hidden there, as the grid of its segments is: a world never changes
+    return kept
+
+
+def has_new_load(state: State) -> bool:
+    """Whether the contacts and impulses of a state are known to be those of another load."""
+    return state.load is not None and load_of(state)[0] != state.load[0]
+
+
+def with_new_load(state: StateWithContacts, solver) -> StateWithContacts:
+    """The state with impulses that fit its load, from those that it carries of another one.
+
+    Those stay where the solver of the steps to come makes no more energy of them than of a start from zero, and no
+    circle faster than one is now, but for `KICK`. Otherwise they are found anew, from the share of the carried ones
+    that leaves the least energy. Where that makes more energy than a start from zero, the state starts from zero.
+    solver: with numbers in place of what follows the scene (`for_state`).
+    """
+    contacts = state.contacts
+    if not contacts.have_past:
+        return state
+    problem, zero = step_problem(state), (np.zeros(contacts.count), np.zeros(contacts.count))
+    carried = projected(contacts.normal_start, contacts.tangent_start, state.world.friction)
+    energy, (energy_carried, fastest) = (_left(state, *start, solver, problem) for start in (zero, carried))
+    most = np.hypot(*state.bodies.velocity.T).max()
+    most += KICK * math.sqrt(math.hypot(*state.world.gravity) * mean(state.bodies.radius))
+    if energy_carried <= energy[0] and fastest <= most:
+        return state
+    contacts = contacts._replace(normal_start=carried[0], tangent_start=carried[1])
+    share = best_share(started(problem, contacts, problem.friction).rows, problem.solver_bodies)
+    tolerance = CLOSE * theta_tolerance(state.bodies.mass, state.bodies.radius, state.world.gravity, state.dt)
+    impulses = _good(state, share * carried[0], share * carried[1], problem, tolerance)
+    return _starting(state, *(impulses if _left(state, *impulses, solver, problem)[0] <= energy[0] else zero))
+
+
+def with_a_past(state: StateWithContacts) -> StateWithContacts:
+    """The state with impulses at which it rests, where there are any, or well solved ones, from what positions say."""
+    if state.contacts.count == 0:
+        return state
+    problem = step_problem(state)
+    return _starting(state, *_good(state, *supported(state, problem), problem, None))
+
+
+def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:
+    """(λ_n, λ_t), (m,), N·s, from given ones: those at which a state rests (`relaxation`), or well solved ones."""
+    gained, speed = state.dt * math.hypot(*state.world.gravity), math.inf
+    ends, rests = (share * gained for share in RESTS)
+    if np.mean(state.bodies.velocity**2) < gained**2:
+        normal, tangent, speed = at_rest(problem, normal, tangent, iterations=RELAXED, speed=ends)
+    if speed > rests:
+        solver = NesterovPGS(sweeps=int(np.clip(state.bodies.count, *SWEEPS)), tolerance=tolerance)
+        solution = solve(state, solver, normal, tangent, problem)
+        normal, tangent = solution.normal_impulses, solution.tangent_impulses
+    return normal, tangent
+
+
+def _left(state: State, normal, tangent, solver, problem: StepProblem) -> tuple[float, float]:
+    """What a solver leaves from these impulses: √2 times the root of the kinetic energy, √J, and the top speed, m/s."""
+    solution = solve(state, solver, normal, tangent, problem)
+    energy = energy_norm(state.bodies, solution.velocities, solution.angular_velocities)
+    return energy, float(np.hypot(*solution.velocities.T).max())
+
+
+def _starting(state: StateWithContacts, normal, tangent) -> StateWithContacts:
+    """The state that starts from these impulses."""
+    contacts = state.contacts._replace(normal_start=normal, tangent_start=tangent)
+    if not state.solved:
+        contacts = contacts._replace(normal_impulse=normal, tangent_impulse=tangent)
+    return state.replace(contacts=contacts)

@@ -1,0 +1,64 @@
+"""Answers that are known: what a setting of the study has to get right, whatever it does to piles.
+
+An over-relaxed solver with few sweeps can be good at piles and wrong in the simplest impact: a sweep with ω leaves
+1 − ω of a lone contact's error. A study of piles does not show that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from math import cos, radians, sin, sqrt
+
+import numpy as np
+
+from deep_contact.constants import GRAVITY
+from deep_contact.state import Bodies, State, World
+from deep_contact.state.checks import make_bodies
+from deep_contact.trade import Run
+
+G = -GRAVITY[1]
+
+
+def error(setting: Mapping) -> float:
+    """The largest error of a setting among these motions, % of their speeds. setting: as `trade.solver_of` reads it."""
+    return 100.0 * max(wrong(_end(scene, setting, seconds)) for scene, seconds, wrong in motions())
+
+
+def _end(scene: State, setting: Mapping, seconds: float) -> Bodies:
+    run = Run(scene, setting)
+    run.advance(round(seconds / setting["dt"]))
+    return run.state().bodies
+
+
+def motions() -> Iterator[tuple[State, float, Callable[[Bodies], float]]]:
+    """A scene, how long it runs, s, and the error of its end, in speeds that it has.
+
+    A disc of 1 m hits the floor at 6 m/s: k_t = m / 3, so it sticks where μ (1 + e) v_n ≥ v_t / 3, and otherwise slides
+    on (Coulomb's law). Two discs meet (Newton's law). A disc slides until it rolls (Coriolis 1835), rolls or slides
+    down a slope.
+    """
+    for friction, restitution in ((5.0, 0.0), (0.1, 0.0), (0.1, 0.5)):
+        tangent = min(friction * (1.0 + restitution) * 6.0, 3.0 / 3.0)  # λ_t / m, m/s
+        after = 3.0 - tangent, 6.0 * restitution, -2.0 * tangent
+        disc = _scene([[10.0, 2.0]], friction=friction, restitution=restitution, velocity=[3.0, -6.0])
+        yield disc, 0.4, lambda bodies, after=after: _off((*bodies.velocity[0], bodies.spin[0]), after) / 6.0
+    for mass in (1.0, 100.0):
+        pair = _scene([[10.0, 20.0], [13.0, 20.0]], mass=[1.0, mass], velocity=[[4.0, 0.0], [-4.0, 0.0]])
+        together = 4.0 * (1.0 - mass) / (1.0 + mass)
+        yield pair, 0.6, lambda bodies, v=together: _off(bodies.velocity[:, 0], v) / 4.0
+    sliding = _scene([[10.0, 1.0]], gravity=(0.0, -G), friction=0.3, velocity=[4.0, 0.0])
+    yield sliding, 1.5, lambda bodies: _off(bodies.velocity[0, 0], 8.0 / 3.0) / 4.0
+    slopes = (0.5, 20.0, 4.0 / 3.0 * G * sin(radians(20.0))), (0.2, 45.0, 1.6 * G * sqrt(0.5))
+    for friction, angle, speed in slopes:
+        leaning = G * sin(radians(angle)), -G * cos(radians(angle))
+        disc = _scene([[10.0, 1.0]], gravity=leaning, friction=friction)
+        yield disc, 2.0, lambda bodies, v=speed: _off(bodies.velocity[0, 0], v) / v
+
+
+def _scene(places, *, gravity=(0.0, 0.0), friction=0.0, restitution=0.0, **bodies) -> State:
+    world = World(box=(0.0, 0.0, 400.0, 40.0), gravity=gravity, friction=friction, restitution=restitution)
+    return State(name="known", world=world, bodies=make_bodies(places, **bodies))
+
+
+def _off(values, right) -> float:
+    return float(np.abs(np.subtract(values, right)).max())

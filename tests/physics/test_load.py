@@ -1,0 +1,115 @@
+"""A load that changes: what was solved for another one must not become velocity."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.physics.load import load_of
+
+PRESETS = "preview", "fast", "balanced", "accurate", "reference"
+
+
+def world_of(state, **changes):
+    return state.replace(world=replace(state.world, **changes))
+
+
+def bodies_of(state, **changes):
+    return state.replace(bodies=state.bodies._replace(**changes))
+
+
+def lighter(state):
+    mass = state.bodies.mass.copy()
+    mass[:10] /= 20.0
+    return bodies_of(state, mass=mass)
+
+
+def shaken(state):
+    chance = np.random.default_rng(5).uniform(-1e-3, 1e-3, state.bodies.position.shape)
+    return bodies_of(state, position=state.bodies.position + chance)
+
+
+CHANGES = {
+    "gravity off": lambda state: world_of(state, gravity=(0.0, 0.0)),
+    "gravity turned": lambda state: world_of(state, gravity=(9.81, 0.0)),
+    "gravity halved": lambda state: world_of(state, gravity=(0.0, -4.905)),
+    "removed": lambda state: state.with_bodies(remove=[int(state.bodies.position[:, 1].argmax()), 3]),
+    "added": lambda state: state.with_bodies(add=dc.make_bodies([[6.0, 30.0]], density=50.0)),
+    "lighter": lighter,
+    "no friction": lambda state: world_of(state, friction=0.0),
+    "floor lowered": lambda state: world_of(state, box=(0.0, -0.5, 12.0, 40.0)),
+    "shorter step": lambda state: state.replace(dt=0.05 * state.dt),
+    "longer step": lambda state: state.replace(dt=20.0 * state.dt),
+    "moved": shaken,
+}
+
+
+@pytest.fixture(scope="module")
+def settled():
+    scene = dc.circles_in_box(40, size=(12.0, 40.0), seed=3)
+    return {preset: dc.simulate(scene, steps=1000, accuracy=preset).state for preset in PRESETS}
+
+
+@pytest.mark.parametrize("accuracy", PRESETS)
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_new_load_makes_no_more_speed_than_where_nothing_was_carried(settled, change, accuracy):
+    state = CHANGES[change](settled[accuracy])
+    forgotten = state.replace(contacts=None)
+    speed = [
+        np.hypot(*dc.simulate(one, steps=1, accuracy=accuracy).state.bodies.velocity.T) for one in (state, forgotten)
+    ]
+    assert speed[0].max() <= speed[1].max() + 0.02
+
+
+@pytest.mark.parametrize("accuracy", ["fast", "reference"])
+def test_a_pile_without_gravity_stays_where_it_is(settled, accuracy):
+    state = CHANGES["gravity off"](settled[accuracy])
+    after = dc.simulate(state, steps=100, accuracy=accuracy).state
+    assert np.abs(after.bodies.position - state.bodies.position).max() < 0.01
+
+
+def test_a_column_stays_when_its_heavy_top_is_taken_off():
+    scene = dc.column(5)
+    mass = scene.bodies.mass * [1, 1, 1, 1, 50]
+    state = dc.simulate(bodies_of(scene, mass=mass), steps=300, solver=dc.PGS(sweeps=300)).state
+    after = dc.simulate(state.with_bodies(remove=[4]), steps=60, solver=dc.PGS())
+    assert np.abs(after.state.bodies.velocity).max() < 1e-3
+
+
+def test_steps_that_change_all_the_time_leave_a_pile_at_rest(settled):
+    state = start = settled["fast"]
+    for k in range(40):
+        state = dc.simulate(state, steps=1, dt=(0.0005, 0.01)[k % 2]).state
+    assert np.abs(state.bodies.velocity).max() < 0.01
+    assert np.abs(state.bodies.position - start.bodies.position).max() < 1e-3
+
+
+def test_a_bounce_keeps_its_height_whatever_the_caller_does_to_the_step():
+    scene = dc.State(
+        name="ball", world=dc.World(restitution=1.0, friction=0.0), bodies=dc.make_bodies([[5.0, 3.0]], radius=0.5)
+    )
+    state, highest = scene, []
+    for _ in range(1000):
+        falls = state.bodies.velocity[0, 1] < 0.0
+        state = dc.simulate(state, steps=2 if falls else 1, dt=0.005 if falls else 0.01, solver=dc.PGS()).state
+        highest.append(state.bodies.position[0, 1])
+    assert max(highest[-200:]) == pytest.approx(3.0, rel=0.01)
+
+
+@pytest.mark.parametrize("accuracy", [None, "accurate"])
+def test_a_run_that_nothing_disturbs_knows_its_load_and_keeps_its_bits(settled, accuracy):
+    state = dc.simulate(dc.circles_in_box(30, seed=1), steps=40, accuracy=accuracy).state
+    assert state.load == load_of(state)
+    parts = dc.simulate(dc.simulate(state, steps=20, accuracy=accuracy).state, steps=20, accuracy=accuracy).state
+    assert parts == dc.simulate(state, steps=40, accuracy=accuracy).state
+
+
+def test_a_gas_that_goes_on_is_divided_as_it_was():
+    """Its fastest circle decides on substeps, and changes."""
+    rng = np.random.default_rng(3)
+    scene = dc.circles_in_box(20, size=20.0, seed=1, gravity=(0.0, 0.0), restitution=0.5)
+    scene = bodies_of(scene, velocity=rng.uniform(-40.0, 40.0, (20, 2)))
+    whole = dc.simulate(scene, steps=60, accuracy="fast").state
+    parts = dc.simulate(dc.simulate(scene, steps=30, accuracy="fast").state, steps=30, accuracy="fast").state
+    assert parts == whole
