@@ -20,6 +20,11 @@ import numpy as np
 from deep_contact.validation import integer
 
 
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def progress_bar(items: Iterable | None = None, *, total: int | None = None, text: str = ""):
     """A progress bar on standard error around `items`; without items, one to move by `.update(n)`.
 

@@ -14,7 +14,6 @@ from deep_contact.physics.engine import leaves_tangents_out
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import BatchedPGS, describe
-from deep_contact.physics.solvers.batched import threads_of
 from deep_contact.presets import Accuracy
 from deep_contact.simulation import method_of
 from deep_contact.state import State, notebook
@@ -97,13 +96,12 @@ def _of_the_run(scene: State, solver, start, sleep: bool) -> dict[str, Choice]:
     touching = len(np.unique(islands_of(scene)[scene.contacts.body_a]))
     least, most = getattr(solver, "substeps", 1), getattr(solver, "most_substeps", None) or 1
     substeps = f"{least} a step" + (f", up to {most} where something is about to hit" if most > least else "")
-    threads, corrected = threads_of(solver, scene.bodies.count), f"at most {solver.position_sweeps} sweeps"
+    corrected = f"at most {solver.position_sweeps} sweeps"
     return {
         "islands": Choice(islands, f"{asked[islands]}; {touching} of them touch something now"),
         "position correction": Choice(solver.position_sweeps > 0, f"{corrected}, none where nothing is deep"),
         "substeps": Choice(max(least, most) > 1, substeps),
         "batches of contacts": Choice(isinstance(solver, BatchedPGS), describe(solver)),
-        "threads": Choice(threads > 1, f"{threads} for {scene.bodies.count:,} circles; batches alone can be shared"),
         "sleeping": Choice(bool(sleep), asked[bool(sleep)]),
         "calls between steps": Choice(is_called, f"{'every step calls' if is_called else 'no step calls'} the start"),
         "network": Choice(isinstance(start, Cnn), f"the start is {type(start).__name__}"),

@@ -12,7 +12,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from deep_contact.compiled.team import cores
+from deep_contact.parallel import cores
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, contacts_of
@@ -244,19 +244,15 @@ def simulate_many(
 ) -> list[Simulation]:
     """Run many scenes, each on its own, on all cores: for each what `simulate` returns, in their order, bit for bit.
 
-    The compiled steps of one scene leave the interpreter to the others, so this pays for many small scenes, for which
-    threads within a step would not. threads: at most so many; by default one a core. warm_start: "builtin", None or
-    "none", which need nothing from Python between two steps. The other arguments are those of `simulate`.
+    The compiled steps of one scene leave the interpreter to the others. threads: at most so many; by default one a
+    core. warm_start: "builtin", None or "none", which need nothing from Python between two steps. The other arguments
+    are those of `simulate`.
     Raises ValueError and FloatingPointError as `simulate` does, with the number of the state.
     """
     threads = cores() if threads is None else integer("threads", threads, least=1)
     start = warm_start_of(warm_start)
     fits, states = isinstance(start, (Builtin, NoStart)), list(states)
     expect(fits, f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
-    for one in (solver, *(getattr(state, "solver", None) for state in states)):
-        # Teams beside one thread a core would wait for each other.
-        fits = (getattr(one, "threads", None) or 1) == 1
-        expect(fits, f"solver: expected one with threads=1 for many scenes, got {one!r}")
     stopped = threading.Event()
 
     def one(number: int) -> Simulation:

@@ -35,7 +35,6 @@ from deep_contact.parallel import progress_bar
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS, solver_from
-from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
 from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.presets import PRESETS, Decision
 from deep_contact.reporting import plotting, results
@@ -167,13 +166,12 @@ def rivals(scene: State) -> tuple[list, list[str]]:
 
 
 class Run:
-    """A run of a scene with a setting, of our engine or of another. threads: of another engine."""
+    """A run of a scene with a setting, of our engine or of another."""
 
-    def __init__(self, start: State, setting: Mapping, threads: int = 1):
+    def __init__(self, start: State, setting: Mapping):
         self._state, self._setting, self._world = start.replace(dt=setting["dt"]), setting, None
         if "engine" in setting:
             options = {name: value for name, value in setting.items() if name in ("slop", "bias", "hertz")}
-            options |= {"threads": threads} if threads > 1 else {}
             self._world = peers.ENGINES[setting["engine"]](self._state.replace(contacts=None), **options)
 
     def advance(self, steps: int) -> None:
@@ -206,28 +204,18 @@ def states_of(start: State, setting: Mapping, frames: int, interval: float) -> I
 
 
 def timed(start: State, setting: Mapping, seconds: float) -> float:
-    """Time of a run of so many seconds in one go, s: the least of several where it is short.
+    """Time of the thread of a run of so many seconds in one go, s: the least of several where it is short.
 
-    Of one thread its own time counts, which other programs disturb least. Of a scene for which ours takes two threads,
-    other engines run on one and on two, where they can, and the lesser time counts. What their Python wrapper costs a
-    step is part of what their users pay; the destruction of their world is not.
+    Other programs disturb it least. What the Python wrapper of other engines costs a step is part of what their users
+    pay; the destruction of their world is not.
     """
-    engine, n, steps = peers.ENGINES.get(setting.get("engine")), start.bodies.count, round(seconds / setting["dt"])
-    if engine is None:
-        numbers: tuple[int, ...] = (threads_of(solver_of(setting), n),)
-    else:
-        numbers = (1, 2) if engine.takes_threads and n >= 2 * CIRCLES_A_THREAD else (1,)
-
-    def least(threads):
-        took: list[float] = []
-        while len(took) < 5 and sum(took) < LONG_ENOUGH:
-            run = Run(start, setting, threads)
-            run.advance(WARM)
-            clock = time.perf_counter if threads > 1 else time.thread_time
-            took.append(timeit(partial(run.advance, steps), timer=clock, number=1))
-        return min(took)
-
-    return min(map(least, numbers))
+    took: list[float] = []
+    while len(took) < 5 and sum(took) < LONG_ENOUGH:
+        run = Run(start, setting)
+        run.advance(WARM)
+        steps = partial(run.advance, round(seconds / setting["dt"]))
+        took.append(timeit(steps, timer=time.thread_time, number=1))
+    return min(took)
 
 
 def row_of(setting: Mapping, step: float, ensemble: Sequence[Observation], reference: Sequence[Observation]) -> dict:

@@ -21,7 +21,7 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact import peers
-from deep_contact.compiled import team
+from deep_contact.parallel import cores
 from deep_contact.physics.solvers import PGS, BatchedPGS
 from deep_contact.reporting import results
 from deep_contact.state import State
@@ -83,8 +83,7 @@ PEERS = peers.ENGINES | {
 }
 ENGINES = {
     "ours": Ours,
-    "in colours": partial(Ours, method=BatchedPGS, threads=1),
-    "two threads": partial(Ours, method=BatchedPGS, threads=2),
+    "in colours": partial(Ours, method=BatchedPGS),
     "dc.step": OursByStep,
 } | PEERS
 """Name -> callable that takes a state and returns an adapter."""
@@ -174,8 +173,7 @@ def claims(cases: list[dict]) -> Iterator[results.Claim]:
 
 RUNS = {
     "PGS": fixed_sweeps(FEW),
-    "colours": fixed_sweeps(FEW, BatchedPGS, threads=1),
-    "colours, two threads": fixed_sweeps(FEW, BatchedPGS, threads=2),
+    "colours": fixed_sweeps(FEW, BatchedPGS),
 }
 """Name -> solver whose steps are timed."""
 
@@ -214,7 +212,7 @@ def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
     done = {"bare": 20 * steps, "one core": count * steps, "all cores": count * steps}
     us = {name: 1e6 * seconds / done[name] for name, seconds in timing.interleaved(calls, repeats=repeats).items()}
     say("many piles of 100", us)
-    return {"cores": team.cores(), "us": us}
+    return {"cores": cores(), "us": us}
 
 
 BENCHMARKS = {

@@ -18,7 +18,7 @@ MAIN = "import sys; from deep_contact.__main__ import main; sys.argv[1:] = ['{}'
         *((MAIN.format(argument), HEAVY) for argument in ("--version", "--help", "figure")),
         *((HELP.format(ROOT / "scripts" / name), HEAVY - {"numpy", "h5py"}) for name in ("train.py", "model_cards.py")),
         ("from deep_contact import plotting; plotting.subplots()", {"matplotlib.pyplot"}),
-        # Numba asks for scipy.linalg, which takes a quarter of the time to the first step: see `prepare_numba`.
+        # Numba asks for scipy.linalg, which takes a quarter of the time to the first step: see `deep_contact.compiled`.
         (
             "import deep_contact as dc; dc.simulate(dc.column(2), steps=1)",
             {"tensorflow", "keras", "matplotlib", "h5py", "scipy.linalg", "scipy.spatial"},

@@ -35,7 +35,6 @@ def exactly(steps):
 
 runs = {
     **{name: simulate(method()) for name, method in METHODS.items()},
-    "two threads": simulate(dc.BatchedPGS(threads=2)),
     "asleep": simulate(dc.PGS(), sleep=True),
     "on_step": simulate(dc.PGS(), on_step=lambda state, record: None),
     "simulate_many": lambda steps: dc.simulate_many([scene] * 4, steps=steps, solver=dc.PGS(), threads=2),
@@ -54,7 +53,7 @@ for _ in range(int(sys.argv[2])):
         print(time.monotonic(), flush=True)
     run(1)
 """
-RUNS = [*METHODS, "two threads", "asleep", "on_step", "simulate_many", "step", "solve_exactly"]
+RUNS = [*METHODS, "asleep", "on_step", "simulate_many", "step", "solve_exactly"]
 
 
 def delays(name, count):
@@ -81,7 +80,7 @@ def delays(name, count):
 @pytest.mark.skipif(sys.platform == "win32", reason="a signal to a process of its own is POSIX's")
 @pytest.mark.parametrize(
     ("name", "count"),
-    [(name, 3) for name in ("PGS", "two threads", "simulate_many", "step", "solve_exactly")]
+    [(name, 3) for name in ("PGS", "simulate_many", "step", "solve_exactly")]
     + [pytest.param(name, 20, marks=pytest.mark.slow) for name in RUNS],
 )
 def test_ctrl_c_is_raised_at_once_and_the_next_call_works(name, count):

@@ -1,10 +1,8 @@
 """Plans: what a run uses and leaves out, said as `simulate` does it."""
 
 import pytest
-from numba import config
 
 import deep_contact as dc
-from deep_contact.compiled import team
 
 COLUMN, FREE = dc.column(3), dc.column(3, friction=0.0)
 pytestmark = pytest.mark.filterwarnings("ignore:.*solved to a tolerance")
@@ -58,19 +56,3 @@ def test_a_plan_has_the_solver_of_the_run(scene, options):
     assert chosen.solver == run.state.solver
     assert (chosen.us is None) == ("solver" in options)
     assert chosen[SUBSTEPS].used == (run.state.solver.substeps > 1 or run.state.solver.most_substeps is not None)
-
-
-@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="one thread without the compiler")
-@pytest.mark.parametrize(
-    ("n_bodies", "solver", "used"),
-    [
-        (3600, dc.BatchedPGS(), True),
-        (900, dc.BatchedPGS(), False),
-        (3600, dc.BatchedPGS(threads=1), False),
-        (3600, dc.PGS(), False),
-    ],
-)
-def test_threads_are_planned_as_they_are_taken(n_bodies, solver, used, monkeypatch):
-    monkeypatch.setattr(team, "cores", lambda: 4)
-    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 4)
-    assert dc.plan(dc.lattice_in_box(n_bodies), solver=solver)["threads"].used == used

@@ -14,9 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 from llvmlite.binding import get_host_cpu_features
-from numba import njit, uint64
+from numba import uint64
 
 from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec
+from deep_contact.compiled import njit
 from deep_contact.compiled.simd import WIDTH, doubled, load_like, most, spread, spread_like, store
 from deep_contact.validation import expect
 

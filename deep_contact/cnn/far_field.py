@@ -27,9 +27,9 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from deep_contact.cnn.images import Spec, with_contacts
+from deep_contact.compiled import njit
 from deep_contact.compiled.simd import WIDTH, load, spread, store
 from deep_contact.physics.contact_solver import (
     ARM_A,

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from deep_contact.cnn.far_field import row_velocity
+from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,

@@ -1,58 +1,86 @@
-"""What Numba needs and no physicist has to read: its cache of compiled code, and vector instructions."""
+"""What Numba needs and no physicist has to read: functions whose machine code is kept, and vector instructions."""
 
 import multiprocessing
 import sys
 import time
-from collections.abc import Callable
-from functools import cache
+from functools import partial
 
+from numba import config
 from numba.core import event
+from numba.core.compiler_lock import global_compiler_lock
+from numba.np import linalg
 
-# compiled in: deep_contact.compiled.boxing
+from deep_contact.compiled.boxing import safe_results
+from deep_contact.compiled.code_cache import CodeCache
 
 PATIENCE, ESTIMATE = 0.5, "it takes half a minute to a minute; `deep-contact warm-up` does it ahead"
 """After how many seconds a process says that it is compiling, and how long it may take."""
 
-
-@cache
-def prepare_numba() -> None:
-    """Make Numba's cache and Ctrl-C safe, keep SciPy out of processes that do not use it, and say what is compiled.
-
-    Call it before `njit` is used.
-    """
-    from numba.np import linalg
-
-    from deep_contact.compiled import boxing, code_cache
-
-    code_cache.install()
-    boxing.install()
-    # Numba imports scipy.linalg only to know whether it can compile `np.dot`, which takes a quarter of the time to the
-    # first step. This package depends on SciPy, and Numba checks again when it compiles a call of BLAS.
-    check, linalg.ensure_blas = linalg.ensure_blas, lambda: None
-    try:
-        import numba.np.arraymath  # noqa: F401
-    finally:
-        linalg.ensure_blas = check
-    if multiprocessing.parent_process() is None or multiprocessing.current_process().name.endswith("-1"):
-        event.register("numba:compile", Announcement(lambda line: print(line, file=sys.stderr, flush=True)))
+# Numba imports scipy.linalg only to know whether it can compile `np.dot`, which takes a quarter of the time to the
+# first step. This package depends on SciPy, and Numba checks again when it compiles a call of BLAS.
+_check, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+try:
+    from numba.core.registry import CPUDispatcher
+    from numba.np import arraymath  # noqa: F401
+finally:
+    linalg.ensure_blas = _check
 
 
 class Announcement(event.Listener):
-    """Hands one line to `echo` once physics, which no cache had, take Numba longer than `PATIENCE`."""
+    """Says one line by `echo` once the physics, which no cache had, take Numba longer than `PATIENCE`."""
 
     is_made, running, begun = False, 0, 0.0
 
-    def __init__(self, echo: Callable[[str], None]):
+    def __init__(self, echo):
         self.echo = echo
+
+    def make(self) -> None:
+        """Say it, unless it has been said."""
+        if not self.is_made:
+            self.is_made = True
+            self.echo(f"deep_contact: compiling for this kind of scene and solver, once; {ESTIMATE}")
 
     def on_start(self, event) -> None:
         self.begun = self.begun if self.running else time.perf_counter()
         self.running += 1
-        is_long = time.perf_counter() - self.begun >= PATIENCE
         module = str(event.data["dispatcher"].py_func.__module__)  # Numba makes functions of no module
-        if is_long and not self.is_made and "deep_contact.physics." in module:
-            self.is_made = True
-            self.echo(f"deep_contact: compiling for this kind of scene and solver, once; {ESTIMATE}")
+        if time.perf_counter() - self.begun >= PATIENCE and "deep_contact.physics." in module:
+            self.make()
 
     def on_end(self, event) -> None:
         self.running -= 1
+
+
+_announcement = Announcement(lambda line: print(line, file=sys.stderr, flush=True))
+_process = multiprocessing.current_process()
+if multiprocessing.parent_process() is None or _process.name.endswith("-1"):  # one process of a pool says it
+    event.register("numba:compile", _announcement)
+else:
+    _announcement.is_made = True
+
+
+class _Dispatcher(CPUDispatcher):
+    """A function that is compiled with the changes of Numba that this package needs, and that no other one sees."""
+
+    def compile(self, signature):
+        with global_compiler_lock, safe_results():
+            try:
+                return super().compile(signature)
+            finally:
+                if isinstance(self._cache, CodeCache):
+                    self._cache.end_turn()
+
+
+def njit(function=None, *, cache=False, **options):
+    """`numba.njit` for functions of this package, and for those that call them.
+
+    Its machine code is kept by a `CodeCache`, and hands results over by `boxing.safe_results`.
+    """
+    if function is None:
+        return partial(njit, cache=cache, **options)
+    if config.DISABLE_JIT:
+        return function
+    dispatcher = _Dispatcher(function, targetoptions={"nopython": True, "boundscheck": None, **options})
+    if cache:
+        dispatcher._cache = CodeCache(function, _announcement.make)
+    return dispatcher

@@ -2,12 +2,13 @@
 
 Numba turns a result into Python objects by code that calls Python, where a Ctrl-C that came while the compiled code
 ran is raised, and looks at no error: the process ends with a segmentation fault. Here the classes are constants that C
-reads, and Ctrl-C is raised behind the call. This replaces details of `numba.core.pythonapi`, and holds for everything
-that the process compiles.
+reads, and Ctrl-C is raised behind the call. This replaces details of `numba.core.pythonapi` while a function of this
+package is compiled.
 """
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from functools import wraps
 
 from numba.core import types
@@ -17,13 +18,21 @@ from numba.core.pythonapi import PythonAPI, _boxers
 _new_tuple = tuple.__new__
 
 
-def install() -> None:
-    """Make the results of all functions that are compiled from here on safe."""
-    PythonAPI.from_native_value = _from_native_value
-    _boxers.functions[types.NamedTuple] = _boxers.functions[types.NamedUniTuple] = _box_named_tuple
-
-
 _unpickling = PythonAPI.from_native_value
+_NAMED = (types.NamedTuple, types.NamedUniTuple)
+
+
+@contextmanager
+def safe_results():
+    """Make the results of functions that are compiled within safe. To be used under Numba's compiler lock."""
+    before = PythonAPI.from_native_value, [_boxers.functions[kind] for kind in _NAMED]
+    PythonAPI.from_native_value = _from_native_value
+    _boxers.functions.update(dict.fromkeys(_NAMED, _box_named_tuple))
+    try:
+        yield
+    finally:
+        PythonAPI.from_native_value = before[0]
+        _boxers.functions.update(zip(_NAMED, before[1]))
 
 
 @wraps(_unpickling)

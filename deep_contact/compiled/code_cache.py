@@ -1,53 +1,103 @@
-"""Keep Numba's cache of machine code true to the sources, and whole.
+"""A cache of Numba's machine code that stays true to the sources, whole, and usable on other machines.
 
 Numba compiles a function again when its own file has changed, but not when something has changed that was compiled into
 it from another file. Here cached code is stale once any file of this package has changed that its file imports,
-directly or not. A file that must not import what is compiled into it names that in a comment, `# compiled in:
-deep_contact.…`. Cached bytes carry a checksum: damaged ones, which would end the process, are compiled again. Code for
-classes of other packages is not kept, since it would outlive a change of them. Where no folder can be written, nothing
-is kept. All replace details of `numba.core.caching`, and hold for everything that the process compiles.
+directly or not. Cached bytes carry a checksum: damaged ones, which would end the process, are compiled again. Code for
+classes of other packages is not kept, since it would outlive a change of them. Code is read beside the sources, even
+where nothing can be written there, and written to the first folder that takes it. Processes that need the same function
+at the same time compile it once.
 """
 
 from __future__ import annotations
 
 import hashlib
+import inspect
 import io
+import os
 import pickle
 import re
+import sys
+import time
 import warnings
-from contextlib import contextmanager
+import zlib
+from collections.abc import Callable
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
-from numba.core import caching
-from numba.core.dispatcher import Dispatcher
+from numba import config
+from numba.core import caching, compiler
+from numba.misc.appdirs import AppDirs
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None
+
+MOST_WAIT = 120.0
+"""How long a process waits for another one that compiles the same function, s."""
 
 _ROOT = Path(__file__).resolve().parents[2]
-_IMPORT = re.compile(
-    rb"^(?:from (deep_contact[\w.]*) import (\([^)]*\)|.*)|(?:import|# compiled in:) (deep_contact[\w.]*))",
-    re.MULTILINE,
-)
+_IMPORT = re.compile(rb"^(?:from (deep_contact[\w.]*) import (\([^)]*\)|.*)|import (deep_contact[\w.]*))", re.MULTILINE)
 _KNOWN = {"builtins", "copyreg", "deep_contact", "numba", "numpy"}
 """Packages whose types compiled code is kept for."""
 
-_enable = Dispatcher.enable_caching
-_stamp_of_one_file = caching._SourceFileBackedLocatorMixin.get_source_stamp
 
+class CodeCache(caching.NullCache):
+    """The compiled versions of a function, in files that `numba.core.caching` reads and writes.
 
-def install() -> None:
-    """Make the caches of this process behave as the module says."""
-    caching.IndexDataCacheFile = _CheckedFile
-    caching._SourceFileBackedLocatorMixin.get_source_stamp = _stamp
-    Dispatcher.enable_caching = _enable_caching
+    on_wait: called where another process has been compiling the function for a while.
+    """
 
+    def __init__(self, function, on_wait: Callable):
+        file = inspect.getfile(function)
+        name = f"{Path(file).stem}.{function.__qualname__}-{function.__code__.co_firstlineno}".translate(_BRACKETS)
+        name += f".py{sys.version_info[0]}{sys.version_info[1]}{getattr(sys, 'abiflags', '')}"
+        self._py_func, self._files, self._turn = function, [], _Turn(name, _folders(file), on_wait)
+        with suppress(OSError):  # no sources, as in a frozen program or a notebook
+            stamp = source_stamp(Path(file))
+            self._files = [_CheckedFile(folder, name, stamp) for folder in _folders(file)]
 
-def _enable_caching(dispatcher) -> None:
-    try:
-        _enable(dispatcher)
-    except RuntimeError as error:
-        if "no locator" not in str(error):
-            raise
+    _index_key = caching.Cache._index_key
+
+    def load_overload(self, signature, context):
+        """The compiled version for a signature. None where there is none: then it is this process's turn to compile."""
+        context.refresh()
+        key = self._index_key(signature, context.codegen())
+        reduced = self._load(key)
+        if reduced is None and self._files and self._turn.take():
+            reduced = self._load(key)
+        return None if reduced is None else compiler.CompileResult._rebuild(context, *reduced)
+
+    def _load(self, key):
+        return next((data for file in self._files if (data := file.load(key)) is not None), None)
+
+    def save_overload(self, signature, result) -> None:
+        """Keep the compiled version for a signature, where a folder can be written."""
+        if not self._files or result.library.has_dynamic_globals:
+            return
+        key, reduced = self._index_key(signature, result.codegen), result._reduce()
+        for file in self._files:
+            with suppress(OSError):
+                os.makedirs(file._cache_path, exist_ok=True)
+                return file.save(key, reduced)
         _warn_once()
+
+    def end_turn(self) -> None:
+        """Let other processes have their turn."""
+        self._turn.end()
+
+
+_BRACKETS = str.maketrans("", "", "<>")
+
+
+def _folders(file: str) -> list[str]:
+    """Where the code of a source file is looked for, in this order: as Numba does, but without trying to write."""
+    inside = caching._CacheLocator.get_suitable_cache_subpath(file)
+    if config.CACHE_DIR:
+        return [os.path.join(config.CACHE_DIR, inside)]
+    own = os.path.join(AppDirs(appname="numba", appauthor=False).user_cache_dir, inside)
+    return [os.path.join(os.path.dirname(file), "__pycache__"), own]
 
 
 @cache
@@ -59,11 +109,44 @@ def _warn_once() -> None:
     )
 
 
-def _stamp(locator):
-    try:
-        return source_stamp(Path(locator._py_file))
-    except OSError:  # a frozen program has no sources
-        return _stamp_of_one_file(locator)
+class _Turn:
+    """The turn of this process to compile a function: a lock on a byte of a file, which ends with the process at last.
+
+    on_wait: called where another process has had it for a while.
+    """
+
+    def __init__(self, name: str, folders: list[str], on_wait: Callable):
+        self._byte, self._folders, self._on_wait, self._file = zlib.crc32(name.encode()) >> 1, folders, on_wait, None
+
+    def take(self) -> bool:
+        """Wait for the turn, at most `MOST_WAIT`. Returns whether it was taken."""
+        file, begun = next(filter(None, map(_lock_file, self._folders)), None), time.monotonic()
+        while file is not None and time.monotonic() - begun < MOST_WAIT:
+            try:
+                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, self._byte)
+                self._file = file
+                return True
+            except (BlockingIOError, PermissionError):  # another process has it
+                if time.monotonic() - begun > 0.5:
+                    self._on_wait()
+                time.sleep(0.05)
+            except OSError:  # a file system without locks
+                break
+        return False
+
+    def end(self) -> None:
+        if self._file is not None:
+            fcntl.lockf(self._file, fcntl.LOCK_UN, 1, self._byte)
+            self._file = None
+
+
+@cache
+def _lock_file(folder: str):
+    """The file whose bytes are locked, or None. It stays open, since closing it would end all turns."""
+    with suppress(OSError):
+        if fcntl is not None:
+            os.makedirs(folder, exist_ok=True)
+            return open(os.path.join(folder, "deep_contact.lock"), "wb")
 
 
 @cache
@@ -131,7 +214,10 @@ def _modules_in(pickled: bytes) -> set[str]:
 
 
 def _is_whole(path: str) -> bool:
-    data = Path(path).read_bytes() if Path(path).exists() else b""
+    try:
+        data = Path(path).read_bytes()
+    except OSError:
+        return False
     return data[-16:] == _checksum(data[:-16])
 
 

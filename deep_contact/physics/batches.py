@@ -5,8 +5,7 @@ occurs twice, so eight contacts are one vector operation (`compiled.simd`). Wall
 share them.
 
 The list of contacts is cut into blocks of `BLOCK`, and each block is coloured greedily: a batch is a colour of a block.
-Blocks that share no circle form a phase, which several threads relax at the same time. None reads what another writes,
-so the number of threads changes no bit.
+Blocks are relaxed phase by phase; those of a phase share no circle.
 
 A batch is stored as tiles of eight contacts; the last one is padded with contacts between the idle body and itself. A
 block has five bodies of its own beside the circles: the four walls, and the idle one.
@@ -18,8 +17,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.compiled.simd import (
     WIDTH,
     any_less,
@@ -58,7 +57,7 @@ BLOCK = 1024
 COLOURS = 64
 """Colours, and phases, in a bit mask. A contact without a free colour is a batch of its own; so are phases."""
 
-CONTACTS, BLOCKS, TILES, BLOCK_PHASES, CIRCLES, ROWS = range(6)
+CONTACTS, BLOCKS, TILES, CIRCLES, ROWS = range(5)
 """Elements of `BatchPlan.count`."""
 
 BATCHES, PHASE_BITS = range(2)
@@ -77,9 +76,7 @@ class BatchPlan(NamedTuple):
     own: np.ndarray  # (B+1,): of a block: the first row of its contacts with segments; one more at the end
     phase: np.ndarray  # (B,): of a block: its phase
     order: np.ndarray  # (B,): blocks by phase
-    start: np.ndarray  # (B+2,): of a phase: where it starts in `order`; one more at the end
-    worst: np.ndarray  # (B, 2): of a block: the θ of a sweep, or the deepest separation, by turns
-    count: np.ndarray  # (6,): contacts, blocks, tiles and phases in use, circles, rows of bodies
+    count: np.ndarray  # (5,): contacts, blocks and tiles in use, circles, rows of bodies
 
 
 class Tiles(NamedTuple):
@@ -100,8 +97,7 @@ def make_plan(n, capacity):
     return BatchPlan(
         np.zeros((n, 2), np.uint64), np.empty(capacity, whole), np.empty(capacity, np.uint32),
         np.empty(capacity, whole), np.empty(capacity, whole), np.empty(blocks + 1, whole),
-        np.empty(blocks + 1, whole), np.empty(blocks, whole), np.empty(blocks, whole), np.empty(blocks + 2, whole),
-        np.empty((blocks, 2)), np.zeros(6, whole),
+        np.empty(blocks + 1, whole), np.empty(blocks, whole), np.empty(blocks, whole), np.zeros(5, whole),
     )  # fmt: skip
 
 
@@ -136,7 +132,8 @@ def plan_batches(body_a, body_b, n, plan):
         tiles, rows = place_contacts(begin, end, batches, tiles, plan), rows + segments
     plan.first[blocks], plan.own[blocks] = tiles, rows
     plan.count[CONTACTS], plan.count[BLOCKS], plan.count[TILES], plan.count[CIRCLES] = m, blocks, tiles, n
-    plan.count[BLOCK_PHASES], plan.count[ROWS] = sort_phases(blocks, plan), rows
+    plan.count[ROWS] = rows
+    sort_phases(blocks, plan)
     return plan
 
 
@@ -226,22 +223,18 @@ def place_contacts(begin, end, batches, tile, plan):
 
 @njit(cache=True)
 def sort_phases(blocks, plan):
-    """Fill `order` and `start` by the phases of the blocks. Returns the number of phases."""
-    phases = place = 0
+    """Fill `order` by the phases of the blocks."""
+    place = 0
     while place < blocks:
-        plan.start[phases] = place
         # Phases without blocks are left out: those beyond the mask follow on whatever was found before them.
         lowest = np.int64(2**62)
         for k in range(blocks):
-            if phases == 0 or plan.phase[k] > plan.phase[plan.order[place - 1]]:
+            if place == 0 or plan.phase[k] > plan.phase[plan.order[place - 1]]:
                 lowest = min(lowest, plan.phase[k])
         for k in range(blocks):
             if plan.phase[k] == lowest:
                 plan.order[place] = k
                 place += 1
-        phases += 1
-    plan.start[phases] = blocks
-    return phases
 
 
 @njit(cache=True)

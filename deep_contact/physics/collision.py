@@ -9,8 +9,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.constants import NEARLY
 from deep_contact.physics.segments import hold_beside, insert_pairs, may_cross, segment_gap
 from deep_contact.state import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
@@ -336,7 +336,7 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
     """
     n, m = position.shape[0], np.int64(0)
     if cells.memory[PAIRS] >= 0:
-        return write_near_pairs(position, radius, box, skin, cells, 0, n, body_a, body_b)
+        return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
     # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
     if n == 0 or not math.isfinite(position.sum()):
         return 0
@@ -352,15 +352,15 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
 
 
 @njit(cache=True, error_model="numpy")
-def write_near_pairs(position, radius, box, skin, cells, begin, end, body_a, body_b):
-    """`write_pairs` from the list of those that were near, for body_a from `begin` to before `end`.
+def write_near_pairs(position, radius, box, skin, cells, body_a, body_b):
+    """`write_pairs` from the list of those that were near.
 
     Every pair is written, and the next one over it if it does not touch: no branch that cannot be predicted. For
     indices without a sign see `batches.choose_batches`.
     """
     n = position.shape[0]
     first, near, m = cells.first, cells.near, np.int64(0)
-    for a in range(begin, end):
+    for a in range(n):
         i, last = np.uint32(first[a]), np.uint32(first[a + 1])
         if m + (last - i) + 4 > body_a.shape[0]:
             return -1
@@ -499,18 +499,11 @@ def wall_gap(x, y, box, wall):
 def carry_impulses(old, contacts, warm):
     """Built-in warm starting: give every contact, in place, the impulses its pair of bodies had a step before.
 
-    old: the contacts of the step before with their solved impulses. contacts: those of the next step, or some of them
-    in a row; starts and impulses are written, 0 where the pair is new, and starts of 0 without `warm`. Both are sorted,
-    so one walk along both finds all matches.
+    old: the contacts of the step before with their solved impulses. contacts: those of the next step; starts and
+    impulses are written, 0 where the pair is new, and starts of 0 without `warm`. Both are sorted, so one walk along
+    both finds all matches.
     """
-    last = old.body_a.shape[0]
-    j, end = 0, last if contacts.body_a.shape[0] > 0 else 0
-    while j < end:  # a search by halves for the first body a
-        middle = (j + end) // 2
-        if old.body_a[middle] < contacts.body_a[0]:
-            j = middle + 1
-        else:
-            end = middle
+    j, last = 0, old.body_a.shape[0]
     for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
         # Most contacts follow in the new list on what they followed in the old: a branch that is predicted.

@@ -21,8 +21,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.constants import MAX_ROTATION
 from deep_contact.physics.continuous import FAST, moved, stop_fast
 from deep_contact.physics.segments import surface_velocity

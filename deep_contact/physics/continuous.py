@@ -17,8 +17,8 @@ from heapq import heappop, heappush
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.physics.collision import COLUMNS, ROWS, make_cells, sort_level, wall_gap
 from deep_contact.physics.segments import BESIDE, is_free, near_box, segment_gap, shared_end, time_to_touch
 from deep_contact.state import WALL_NORMALS

@@ -1,6 +1,6 @@
 """The engine: `advance` is the algorithm, that of Box2D 2.3 for circles at e = 0, but for its own continuous collision.
 
-`solvers.batched` has the same stages for several threads; `deep_contact.simulation` is the validated interface.
+`solvers.batched` has the same stages in batches; `deep_contact.simulation` is the validated interface.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.physics import sleeping
 from deep_contact.physics.collision import find_contacts, make_cells, make_contacts, next_contacts, own_contacts
 from deep_contact.physics.contact_solver import (

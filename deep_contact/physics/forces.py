@@ -11,8 +11,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.physics.ready import has_engine_arrays, ready
 from deep_contact.state import SIDES, State, body_name
 from deep_contact.state.checks import check_types

@@ -34,8 +34,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import arms_of, effective_masses
 from deep_contact.physics.segments import surface_velocity
 

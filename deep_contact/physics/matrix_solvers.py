@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 
+from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record, is_over
 from deep_contact.physics.lcp import ContactProblem, check_problem

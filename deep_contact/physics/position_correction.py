@@ -15,9 +15,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from deep_contact.compiled import simd
+from deep_contact.compiled import njit, simd
 from deep_contact.compiled.simd import (
     WIDTH,
     any_less,

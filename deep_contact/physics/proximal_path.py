@@ -11,10 +11,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from deep_contact.compiled import njit
 from deep_contact.physics.lcp import ContactProblem
 
 OPEN, STICK, SLIP_UP, SLIP_DOWN = range(4)

@@ -6,8 +6,8 @@ import math
 import warnings
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.physics.engine import contacts_of
 from deep_contact.state import LIMITS, Contacts, State, StateWithContacts, no_contacts
 from deep_contact.state.checks import UNIT, check_limits, check_state, check_types, make_bodies

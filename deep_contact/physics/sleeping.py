@@ -12,8 +12,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.constants import POSITION_TOLERANCE
 from deep_contact.physics.collision import make_contacts, more_contacts, some_contacts
 from deep_contact.physics.contact_solver import INVERSE_MASS

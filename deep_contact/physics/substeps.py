@@ -15,8 +15,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.physics.collision import circles_around, refresh_list, sort_into_cells, wall_gap
 from deep_contact.physics.segments import is_free, near_box, segment_gap
 from deep_contact.physics.step import StepInput

@@ -10,8 +10,8 @@ Weakness: nothing goes up again. What an arch holds sideways, and what a circle'
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,

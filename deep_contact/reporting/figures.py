@@ -30,9 +30,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.compiled.team import cores
 from deep_contact.io import provenance
-from deep_contact.parallel import parallel_map, progress_bar, seeds  # noqa: F401 (scripts of users take them from here)
+from deep_contact.parallel import cores, parallel_map, progress_bar, seeds  # noqa: F401 (scripts of users take them from here)
 from deep_contact.reporting import plotting, results, staleness
 from deep_contact.reporting.results import Claim
 from deep_contact.validation import one_of

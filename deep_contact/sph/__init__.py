@@ -4,13 +4,9 @@ Kernels: `value`, `derivative`, `gradient`, `laplacian`; their names are in `KER
 Transfer: `Grid`, `splat`, `density`, `gather`, and the authors' ways back, `read_by_spline` and `share_out`.
 """
 
-from deep_contact.compiled import prepare_numba
-
-prepare_numba()
-
-from deep_contact.sph.grid import Grid, density, gather, splat  # noqa: E402
-from deep_contact.sph.kernels import KERNELS, derivative, gradient, laplacian, value  # noqa: E402
-from deep_contact.sph.thesis import read_by_spline, share_out  # noqa: E402
+from deep_contact.sph.grid import Grid, density, gather, splat
+from deep_contact.sph.kernels import KERNELS, derivative, gradient, laplacian, value
+from deep_contact.sph.thesis import read_by_spline, share_out
 
 __all__ = [
     "KERNELS", "Grid", "density", "derivative", "gather", "gradient", "laplacian", "read_by_spline", "share_out",

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.sph.kernels import as_floats, check_support_radius, kernel_number, profile
 from deep_contact.validation import expect, integer, number, one_of, refuse_where, several
 

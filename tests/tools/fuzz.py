@@ -215,7 +215,7 @@ def api_call(whole):
     """rng -> a call of the public interface with hostile arguments, and its text."""
     solvers = (PGS(sweeps=3), PGS(sweeps=3, islands=True), METHODS["NNCG"](sweeps=3))
     options = (
-        (PGS, "sweeps"), (METHODS["PSOR"], "omega"), (METHODS["BatchedPGS"], "threads"), (PGS, "tolerance"),
+        (PGS, "sweeps"), (METHODS["PSOR"], "omega"), (METHODS["BatchedPGS"], "sweeps"), (PGS, "tolerance"),
         (PGS, "slop"), (PGS, "substeps"), (World, "box"), (World, "scales"),
     )  # fmt: skip
     arguments = {f"{made.__name__}.{name}": lambda v, made=made, name=name: made(**{name: v}) for made, name in options}

@@ -232,8 +232,7 @@ def runs():
     way = partial(simulated, solver=dc.PGS(**FEW, islands=True))
     yield "rest, PGS, island by island", Run("rest", way, same_as="rest, PGS")
     way = partial(simulated, lengths=(4,))
-    yield "blocks", Run("blocks", partial(way, solver=dc.BatchedPGS(**FEW, threads=1)))
-    yield "blocks, two threads", Run("blocks", partial(way, solver=dc.BatchedPGS(**FEW, threads=2)), same_as="blocks")
+    yield "blocks", Run("blocks", partial(way, solver=dc.BatchedPGS(**FEW)))
 
 
 RUNS = dict(runs())

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from dataclasses import dataclass
+from dataclasses import InitVar, dataclass
 from types import SimpleNamespace
-from typing import NamedTuple
 
 import numpy as np
-from numba import config, njit, types
+from numba import config, types
 from numba.experimental import structref
 
-from deep_contact import validation
+from deep_contact.compiled import njit
 from deep_contact.compiled.simd import WIDTH, lane, least, load, load_rows, most, spread, store, store_rows
-from deep_contact.compiled.team import Team, share_of, team_size, together, wait
 from deep_contact.constants import POSITION_TOLERANCE
 from deep_contact.physics import batches, collision
-from deep_contact.physics.batches import BLOCK_PHASES, BLOCKS, CONTACTS
+from deep_contact.physics.batches import BLOCKS, CONTACTS
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -27,9 +25,8 @@ from deep_contact.physics.contact_solver import (
     NORMAL_MASS,
     TANGENT,
     TANGENT_MASS,
+    integrate_positions,
     integrate_velocities,
-    move,
-    stop_fast_circles,
 )
 from deep_contact.physics.convergence import all_finite, is_over
 from deep_contact.physics.impacts import rebound
@@ -39,35 +36,29 @@ from deep_contact.physics.position_correction import (
     take_centres,
 )
 from deep_contact.physics.segments import positions_before
-from deep_contact.physics.solvers.pgs import MOST_SWEEPS, PGS
+from deep_contact.physics.solvers.pgs import PGS
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
 from deep_contact.physics.step import DONE, WORK, impulses_of, is_asked, log_impulses, log_part
 from deep_contact.physics.substeps import depart, part_of, parts_of, rejoin
-from deep_contact.state import Bodies
+from deep_contact.validation import expect
 
 
 @dataclass(frozen=True, kw_only=True)
 class BatchedPGS(PGS):
     """Projected Gauss-Seidel in batches of contacts that share no circle, eight at a time: for large scenes.
 
-    threads: at most so many; they change no bit of the result. By default those that pay: one for every
-    `CIRCLES_A_THREAD` circles, no more than there are cores. The other options are those of `PGS`. Position correction
-    goes in the same batches.
+    The options are those of `PGS`; threads is 1 or None. Position correction goes in the same batches.
 
     Weakness: the order of the contacts is not that of the list, so it may need more sweeps than PGS. Finding the
     batches costs a part of each step in which contacts have changed, so few sweeps do not repay it.
     """
 
-    threads: int | None = None
+    threads: InitVar[int | None] = None
 
-    def __post_init__(self):
+    def __post_init__(self, threads):
         super().__post_init__()
-        if self.threads is not None:
-            validation.integer("threads", self.threads, least=1, most=MOST_SWEEPS)
-
-
-CIRCLES_A_THREAD = 1500
-"""Circles for which a thread of its own pays: two threads break even at 3,000, and gain from there on."""
+        only = "1: more gained little, and lost much beside another program; simulate_many takes a core a scene"
+        expect(threads in (None, 1), f"threads: expected {only}, got {threads!r}")
 
 
 BatchSettings = namedtuple("BatchSettings", ["tolerance"])
@@ -108,70 +99,28 @@ def sweep_tiles(tiles, first, last, friction):
 
 
 @njit(cache=True)
-def share_of_phase(start, count, p, team):
-    """The places in `BatchPlan.order`, first and after the last, of the blocks of a phase that this thread does.
-
-    Neighbours in the list, so that threads share the circles of a few blocks: to get one that another core has changed
-    costs more than to relax a contact. Where phases are not shared, rank 0 does all. start, count: of the `BatchPlan`,
-    of which a call would count the references to all its arrays, for each sweep.
-    """
-    first, last = share_of(start[p + 1] - start[p], team)
-    if not phases_are_shared(count):
-        first, last = 0, start[p + 1] - start[p] if team.rank == 0 else 0
-    return start[p] + first, start[p] + last
-
-
-@njit(cache=True)
-def phases_are_shared(count):
-    """Whether phases have more than one block. Those of circles that are numbered at random have nothing to share."""
-    return 3 * count[BLOCK_PHASES] <= 2 * count[BLOCKS]
-
-
-@njit(cache=True)
-def end_phase(count, p, team):
-    """The barrier after a phase, where the next one needs it."""
-    if phases_are_shared(count) or p == count[BLOCK_PHASES] - 1:
-        wait(team)
-
-
-@njit(cache=True)
-def sweep_blocks(plan, tiles, friction, turn, team):
-    """One sweep over all tiles, in place, by a team. Returns θ. turn: 0 and 1 alternate."""
-    start, order, begin, worst, count = plan.start, plan.order, plan.first, plan.worst, plan.count
-    for p in range(count[BLOCK_PHASES]):
-        first, last = share_of_phase(start, count, p, team)
-        for q in range(first, last):
-            k = order[q]
-            worst[k, turn] = sweep_tiles(tiles, begin[k], begin[k + 1], friction)
-        end_phase(count, p, team)
+def sweep_blocks(plan, tiles, friction):
+    """One sweep over all tiles, in place. Returns θ."""
     theta = 0.0
-    for k in range(count[BLOCKS]):
-        theta = max(theta, worst[k, turn])
+    for k in plan.order[: plan.count[BLOCKS]]:
+        theta = max(theta, sweep_tiles(tiles, plan.first[k], plan.first[k + 1], friction))
     return theta
 
 
 @njit(cache=True)
-def correct_blocks(plan, tiles, scales, turn, team):
+def correct_blocks(plan, tiles, scales):
     """One sweep of position correction, likewise. Returns the deepest separation, m."""
-    start, order, begin, worst, count = plan.start, plan.order, plan.first, plan.worst, plan.count
-    body, data, centre = tiles.body, tiles.data, tiles.centre
-    for p in range(count[BLOCK_PHASES]):
-        first, last = share_of_phase(start, count, p, team)
-        for q in range(first, last):
-            k = order[q]
-            worst[k, turn] = correct_tiles(body, data, ARM_B + 1, centre, begin[k], begin[k + 1], scales)
-        end_phase(count, p, team)
-    deepest = 0.0
-    for k in range(count[BLOCKS]):
-        deepest = min(deepest, worst[k, turn])
+    body, data, centre, first, deepest = tiles.body, tiles.data, tiles.centre, plan.first, 0.0
+    for k in plan.order[: plan.count[BLOCKS]]:
+        deepest = min(deepest, correct_tiles(body, data, ARM_B + 1, centre, first[k], first[k + 1], scales))
     return deepest
 
 
 @njit(cache=True)
-def relax_tiles(settings, plan, tiles, friction, theta, team):
+def relax_tiles(settings, plan, tiles, friction, theta):
     """Projected Gauss-Seidel in batches, in place on the tiles; fills θ. Returns the sweeps."""
     for k in range(theta.shape[0]):
-        theta[k] = sweep_blocks(plan, tiles, friction, k % 2, team)
+        theta[k] = sweep_blocks(plan, tiles, friction)
         if is_over(theta[k], settings.tolerance):
             return k + 1
     return theta.shape[0]
@@ -184,320 +133,172 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
     pairs = rows.body.astype(np.int64)
     plan = batches.plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, batches.make_plan(n, m))
     tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n + 5, 1))
-    sweeps = relax_tiles(settings, plan, tiles, friction, theta, Team(0, 1, np.zeros(24, np.int64)))
+    sweeps = relax_tiles(settings, plan, tiles, friction, theta)
     batches.empty_tiles(plan, tiles, rows, solver_bodies)
     return sweeps
 
 
 @njit(cache=True, error_model="numpy")
-def correct_positions_in_batches(plan, tiles, mine, scales, sweeps):
-    """`position_correction.correct_positions` over the tiles of the plan, by a team. mine: `Share` of a thread."""
-    team, centre = mine.team, tiles.centre[mine.first : mine.last]
-    fill_centres(mine.bodies, centre)
-    wait(team)
-    for k in range(sweeps):
-        if correct_blocks(plan, tiles, scales, k % 2, team) >= -POSITION_TOLERANCE * scales.slop:
+def correct_positions_in_batches(plan, tiles, bodies, scales, sweeps):
+    """`position_correction.correct_positions` over the tiles of the plan."""
+    centre = tiles.centre[: bodies.mass.shape[0]]
+    fill_centres(bodies, centre)
+    for _ in range(sweeps):
+        if correct_blocks(plan, tiles, scales) >= -POSITION_TOLERANCE * scales.slop:
             break
-    take_centres(centre, mine.bodies)
+    take_centres(centre, bodies)
 
 
-FAST, FINITE, LISTED = range(3)
-"""Columns of `Shared.flags`."""
-
-PAIRS_FOUND, PARTS = range(2)
-"""Columns of `Shared.counts`."""
-
-_FIELDS = ("plan", "tiles", "solved", "contacts", "memory", "flags", "counts", "received")
-"""What a team shares of a run, in a `Shared`. Rank 0 alone replaces it, between barriers, where it is too small.
+_FIELDS = ("plan", "tiles", "solved", "contacts", "memory", "received")
+"""What the steps of a run hand on, in a `Room`, whose fields they replace where they are too small.
 
 plan: `BatchPlan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and this one. memory: `StepMemory`.
-flags: what a thread tells the others, (size, 8): whether a circle of its share is fast, whether all are finite, whether
-there is a list of near pairs. counts: pairs of its share that touch, parts of a substep, (size, 8). received: of
-`StepLog`.
+received: of `StepLog`.
 """
 
 if config.DISABLE_JIT:
 
-    def Shared(*values):
+    def Room(*values):
         return SimpleNamespace(**dict(zip(_FIELDS, values)))
 else:
 
     @structref.register
-    class _SharedType(types.StructRef):
-        """Numba's type of a `Shared`."""
+    class _RoomType(types.StructRef):
+        """Numba's type of a `Room`."""
 
         def preprocess_fields(self, fields):
             return tuple((name, types.unliteral(kind)) for name, kind in fields)
 
-    class Shared(structref.StructRefProxy):
+    class Room(structref.StructRefProxy):
         """The fields for compiled code."""
 
-    structref.define_proxy(Shared, _SharedType, list(_FIELDS))
+    structref.define_proxy(Room, _RoomType, list(_FIELDS))
 
 
 @njit(cache=True)
-def make_shared(contacts, memory, size):
-    """A `Shared` for a team of that size, that starts from these contacts."""
+def make_room(contacts, memory):
+    """A `Room` for steps that start from these contacts."""
     n = memory.cells.cell.shape[0]
     plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1)
-    flags, counts = np.zeros((size, 8), np.bool_), np.zeros((size, 8), np.int64)
-    return Shared(plan, tiles, contacts, contacts, memory, flags, counts, np.zeros((0, 8)))
+    return Room(plan, tiles, contacts, contacts, memory, np.zeros((0, 8)))
 
 
 @njit(cache=True)
-def go_on(shared, contacts, memory, received):
+def go_on(room, contacts, memory, received):
     """Let the next steps start from these contacts in this memory, in place. received: of `StepLog`."""
-    shared.contacts, shared.memory, shared.received = contacts, memory, received
+    room.contacts, room.memory, room.received = contacts, memory, received
 
 
 @njit(cache=True)
-def contacts_in(shared):
+def contacts_in(room):
     """The contacts that the next step starts from, and `StepLog.received`."""
-    return shared.contacts, shared.received
-
-
-class Share(NamedTuple):
-    """What a thread of a team does of a scene: a row of circles, and buffers for their pairs."""
-
-    team: Team
-    first: int
-    last: int  # before it the row ends
-    bodies: Bodies  # views
-    body_a: np.ndarray
-    body_b: np.ndarray
-
-
-@njit(cache=True)
-def share_of_scene(bodies, team):
-    """The `Share` of a thread."""
-    first, last = share_of(bodies.mass.shape[0], team)
-    mine = Bodies(
-        bodies.position[first:last], bodies.velocity[first:last], bodies.angle[first:last], bodies.spin[first:last],
-        bodies.mass[first:last], bodies.radius[first:last],
-    )  # fmt: skip
-    capacity = 4 * (last - first) + 64
-    return Share(team, first, last, mine, np.empty(capacity, np.int64), np.empty(capacity, np.int64))
+    return room.contacts, room.received
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance_by_team(step, options, log, shared, team):
-    """`engine.advance` for `BatchedPGS`, by a team. The contacts are left in `shared`, a `Shared`."""
-    part, mine, turn, buffers = step, share_of_scene(step.bodies, team), 0, shared.memory.contacts
+def advance_in_batches(step, options, log, room):
+    """`engine.advance` for `BatchedPGS`. The contacts are left in `room`, a `Room`."""
+    part, turn, buffers = step, 0, room.memory.contacts
     for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
         if step.motion.most > 1:
-            if team.rank == 0:
-                shared.counts[0, PARTS] = parts_of(step, shared.memory.cells)
-            wait(team)
-            part = part_of(step, shared.counts[0, PARTS])
-            if team.rank == 0 and part.parts > step.parts:
-                depart(step, part, shared.contacts)
+            part = part_of(step, parts_of(step, room.memory.cells))
+            if part.parts > step.parts:
+                depart(step, part, room.contacts)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
-            mine = step_by_team(part, options, shared, mine, buffers[turn], log, j // step.parts)
-        if team.rank == 0:
-            if part.parts > step.parts:
-                rejoin(step, part, shared.contacts)
-            log.progress[DONE] = j + 1
+            do_part_in_batches(part, options, room, buffers[turn], log, j // step.parts)
+        if part.parts > step.parts:
+            rejoin(step, part, room.contacts)
+        log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
-    write_last_geometry(step, shared.contacts, team)
+    where = step.bodies.position, step.bodies.radius, step.box, step.segments, step.scales.wall_skin
+    collision.write_geometry(*where, room.contacts, 0)
 
 
 @njit(inline="always")
-def step_by_team(step, options, shared, mine, buffer, log, k):
-    """The stages of `engine.advance`, by a team with barriers between them. Returns the `Share` of this thread.
-
-    Each thread does its share of circles, contacts and blocks; rank 0 makes the plan, the list of near pairs, and what
-    scenes with segments or fast circles need.
-    """
-    bodies, segments, scales, team = step.bodies, step.segments, step.scales, mine.team
-    flags, theta, is_built = shared.flags, shared.memory.theta, shared.memory.is_built
-    if team.rank == 0:
-        plan_step(step, shared, log)
-    wait(team)
-    plan, tiles, solved = shared.plan, shared.tiles, shared.solved
-    velocities, before = tiles.solver_bodies[mine.first : mine.last], positions_before(bodies, segments)
+def do_part_in_batches(part, options, room, buffer, log, k):
+    """`engine.do_part`: velocities, positions, and the contacts that the next part solves, in the buffer."""
+    bodies, box, segments, scales = part.bodies, part.box, part.segments, part.scales
+    n, theta, cells, is_built = bodies.mass.shape[0], room.memory.theta, room.memory.cells, room.memory.is_built
+    plan_part(part, room)
+    plan, tiles, solved = room.plan, room.tiles, room.contacts
     # Velocities.
+    velocities = tiles.solver_bodies[:n]
     if is_built:
-        take_velocities(shared.memory.solver_bodies, mine.first, velocities)
+        take_velocities(room.memory.solver_bodies, velocities)
     else:
-        integrate_velocities(mine.bodies, step.gravity, step.dt, velocities)
-    fill_centres(mine.bodies, tiles.centre[mine.first : mine.last])
-    wait(team)
-    start_blocks(step, solved, plan, tiles, team, shared.memory.rows, is_built)
-    sweeps = relax_tiles(options.settings, plan, tiles, step.friction, theta, team)
-    flags[team.rank, FINITE] = all_finite(velocities)
-    store_blocks(plan, tiles, solved, step.parts, team)
-    # Positions.
-    flags[team.rank, FAST] = move(mine.bodies, velocities, step.dt, scales.max_translation)
-    wait(team)
-    if flags[:, FAST].any():
-        if team.rank == 0:
-            stop_fast_circles(bodies, step)
-        wait(team)
-    correct_positions_in_batches(plan, tiles, mine, scales, options.position_sweeps)
-    wait(team)
-    if team.rank == 0:
-        if sweeps > 0 and not flags[:, FINITE].all():
-            theta[sweeps - 1] = np.nan
-        log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
-        if is_asked(log):
-            impulse = impulses_of(solved, 1.0 / step.parts)
-            shared.received = log_impulses(log, shared.received, solved, impulse, bodies.mass.shape[0])
-    return next_contacts(step, options, shared, mine, before, buffer, least_known(step, log))
-
-
-@njit(cache=True)
-def take_velocities(solver_bodies, first, velocities):
-    """Copy the velocities of solver bodies from the first on. By a loop, which compiles in less time than a slice."""
-    for i in range(velocities.shape[0]):
-        for c in range(velocities.shape[1]):
-            velocities[i, c] = solver_bodies[first + i, c]
-
-
-@njit(cache=True, error_model="numpy")
-def plan_step(step, shared, log):
-    """What a team needs before it solves the contacts, in `shared`: a plan for them, room for their tiles, impacts."""
-    n, contacts = step.bodies.mass.shape[0], shared.contacts
-    if not batches.is_plan_of(shared.plan, n, contacts, shared.solved):
-        shared.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
-    shared.tiles = batches.with_room(shared.plan, shared.tiles)
-    shared.solved = contacts
-    if not shared.memory.is_built:
         impacts = log.loads[:0]
         if is_asked(log):
-            impacts = np.zeros((contacts.body_a.shape[0], 2))
-        rebound(step, contacts, impacts)
-        shared.received = log_impulses(log, shared.received, contacts, impacts, n)
-
-
-@njit(inline="always")
-def next_contacts(step, options, shared, mine, before, buffer, least):
-    """`collision.next_contacts` by a team, into `shared`. Returns the `Share`, with room for its pairs.
-
-    least: of `collision.write_geometry`.
-    """
-    bodies, box, segments, skin, team = step.bodies, step.box, step.segments, step.scales.wall_skin, mine.team
-    cells, solved = shared.memory.cells, shared.solved
-    if team.rank == 0:
-        collision.hold(bodies, before, box, segments, skin, solved)
-        is_listed = collision.refresh_list(bodies.position, bodies.radius, cells, 0.0)
-        shared.flags[0, LISTED] = is_listed and segments.line.shape[0] == 0
-    wait(team)
-    if shared.flags[0, LISTED]:
-        mine = find_touching(step, shared, buffer, mine)
-        describe_touching(step, options, shared, mine, least)
-    elif team.rank == 0:
-        shared.contacts = collision.contacts_at(
-            bodies.position, bodies.radius, box, segments, skin, cells, buffer, least
-        )
-        collision.carry_impulses(solved, shared.contacts, options.carry)
-    wait(team)
-    return mine
+            impacts = np.zeros((solved.body_a.shape[0], 2))
+        rebound(part, solved, impacts)
+        room.received = log_impulses(log, room.received, solved, impacts, n)
+        integrate_velocities(bodies, part.gravity, part.dt, velocities)
+    fill_centres(bodies, tiles.centre[:n])
+    start_blocks(part, solved, plan, tiles, room.memory.rows, is_built)
+    sweeps = relax_tiles(options.settings, plan, tiles, part.friction, theta)
+    if sweeps > 0 and not all_finite(velocities):
+        theta[sweeps - 1] = np.nan
+    for block in range(plan.count[BLOCKS]):
+        batches.store_block(plan, tiles, solved, block, part.parts)
+    # Positions.
+    before = positions_before(bodies, segments)
+    integrate_positions(bodies, velocities, part, segments)
+    correct_positions_in_batches(plan, tiles, bodies, scales, options.position_sweeps)
+    log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
+    if is_asked(log):
+        room.received = log_impulses(log, room.received, solved, impulses_of(solved, 1.0 / part.parts), n)
+    # The contacts that the next part or step solves. Logs and impacts read all geometry; tiles, that of walls.
+    least = 0 if part.restitution > 0.0 or is_asked(log) else n
+    position, radius, skin = bodies.position, bodies.radius, scales.wall_skin
+    collision.hold(bodies, before, box, segments, skin, solved)
+    collision.refresh_list(position, radius, cells, 0.0)
+    room.contacts = collision.contacts_at(position, radius, box, segments, skin, cells, buffer, least)
+    collision.carry_impulses(solved, room.contacts, options.carry)
 
 
 @njit(cache=True)
-def least_known(step, log):
-    """`collision.write_geometry`'s `least` within a call: logs and impacts read all, tiles those of walls."""
-    return 0 if step.restitution > 0.0 or is_asked(log) else step.bodies.mass.shape[0]
-
-
-@njit(inline="always")
-def write_last_geometry(step, contacts, team):
-    """The geometry of all contacts after the last step of a call."""
-    first, last = share_of(contacts.body_a.shape[0], team)
-    bodies, skin = step.bodies, step.scales.wall_skin
-    mine = collision.some_contacts(contacts, first, last)
-    collision.write_geometry(bodies.position, bodies.radius, step.box, step.segments, skin, mine, 0)
+def take_velocities(solver_bodies, velocities):
+    """Copy the velocities of solver bodies. By a loop, which compiles in less time than a slice."""
+    for i in range(velocities.shape[0]):
+        for c in range(velocities.shape[1]):
+            velocities[i, c] = solver_bodies[i, c]
 
 
 @njit(cache=True, error_model="numpy")
-def find_touching(step, shared, buffer, mine):
-    """The pairs of this thread's circles that touch, from the list of near ones. Returns the `Share` that has them.
-
-    `Shared.contacts` has room for the pairs of all threads then, in the buffer.
-    """
-    position, radius, skin, cells = (
-        step.bodies.position,
-        step.bodies.radius,
-        step.scales.wall_skin,
-        shared.memory.cells,
-    )
-    pairs_found = -1
-    while pairs_found < 0:
-        where = position, radius, step.box, skin, cells, mine.first, mine.last, mine.body_a, mine.body_b
-        pairs_found = collision.write_near_pairs(*where)
-        if pairs_found < 0:
-            capacity = 2 * mine.body_a.shape[0] + 64
-            pairs = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
-            mine = Share(mine.team, mine.first, mine.last, mine.bodies, pairs[0], pairs[1])
-    shared.counts[mine.team.rank, PAIRS_FOUND] = pairs_found
-    wait(mine.team)
-    if mine.team.rank == 0:
-        m = shared.counts[:, PAIRS_FOUND].sum()
-        if m > buffer.body_a.shape[0]:
-            buffer = collision.more_contacts(m)
-        shared.contacts = collision.some_contacts(buffer, 0, m)
-    wait(mine.team)
-    return mine
+def plan_part(part, room):
+    """A plan for the contacts of the room, and room for their tiles, in place."""
+    n, contacts = part.bodies.mass.shape[0], room.contacts
+    if not batches.is_plan_of(room.plan, n, contacts, room.solved):
+        room.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, room.plan)
+    room.tiles = batches.with_room(room.plan, room.tiles)
+    room.solved = contacts
 
 
 @njit(cache=True, error_model="numpy")
-def describe_touching(step, options, shared, mine, least):
-    """Write this thread's pairs where they belong among the contacts, with their geometry and what they carry."""
-    bodies, skin, rank = step.bodies, step.scales.wall_skin, mine.team.rank
-    before, count = shared.counts[:rank, PAIRS_FOUND].sum(), shared.counts[rank, PAIRS_FOUND]
-    contacts = collision.some_contacts(shared.contacts, before, before + count)
-    for i in range(count):
-        contacts.body_a[i], contacts.body_b[i] = mine.body_a[i], mine.body_b[i]
-    collision.write_geometry(bodies.position, bodies.radius, step.box, step.segments, skin, contacts, least)
-    collision.carry_impulses(shared.solved, contacts, options.carry)
-
-
-@njit(cache=True, error_model="numpy")
-def start_blocks(step, contacts, plan, tiles, team, rows, is_built):
-    """The rows of all blocks and what they start from, phase by phase, since that changes velocities."""
-    for p in range(plan.count[BLOCK_PHASES]):
-        first, last = share_of_phase(plan.start, plan.count, p, team)
-        for q in range(first, last):
-            k = plan.order[q]
-            batches.place_block(step, contacts, plan, tiles, k, rows, is_built)
-            begin, end = plan.first[k], plan.first[k + 1]
-            if not is_built and batches.fill_rows(tiles, begin, end):
-                batches.part_coinciding(tiles, begin, end)
-            batches.start_tiles(tiles, begin, end)
-        end_phase(plan.count, p, team)
-
-
-@njit(cache=True)
-def store_blocks(plan, tiles, contacts, parts, team):
-    """`batches.store_block` of all blocks."""
-    first, last = share_of(plan.count[BLOCKS], team)
-    for k in range(first, last):
-        batches.store_block(plan, tiles, contacts, k, parts)
+def start_blocks(step, contacts, plan, tiles, rows, is_built):
+    """The rows of all blocks and what they start from, block by block, since that changes velocities."""
+    for k in plan.order[: plan.count[BLOCKS]]:
+        batches.place_block(step, contacts, plan, tiles, k, rows, is_built)
+        begin, end = plan.first[k], plan.first[k + 1]
+        if not is_built and batches.fill_rows(tiles, begin, end):
+            batches.part_coinciding(tiles, begin, end)
+        batches.start_tiles(tiles, begin, end)
 
 
 class _Run:
-    """`engine.advance` for a run on at most so many threads, and no more than there are cores: the same bits."""
+    """`engine.advance` for a run."""
 
     def __init__(self, solver: BatchedPGS):
-        self._solver, self._shared = solver, None
+        self._room = None
 
     def __call__(self, step, motion, contacts, sleep, options, memory, log):
         """As `engine.advance`."""
-        if self._shared is None:
-            self._size = threads_of(self._solver, step.bodies.count)
-            self._shared = make_shared(contacts, memory, self._size)
-        go_on(self._shared, contacts, memory, log.received)
-        together(self._size, advance_by_team, step, options, log, self._shared)
-        return contacts_in(self._shared)
-
-
-def threads_of(solver, n_bodies: int) -> int:
-    """On how many threads a solver runs a scene of so many circles here."""
-    if not isinstance(solver, BatchedPGS):
-        return 1
-    return team_size(solver.threads, n_bodies, CIRCLES_A_THREAD)
+        if self._room is None:
+            self._room = make_room(contacts, memory)
+        go_on(self._room, contacts, memory, log.received)
+        advance_in_batches(step, options, log, self._room)
+        return contacts_in(self._room)
 
 
 _LOOP = Loop(BatchSettings, relax_in_batches)

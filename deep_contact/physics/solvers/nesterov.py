@@ -7,8 +7,8 @@ from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import CONTRACT, SUMS, sweep
 from deep_contact.physics.convergence import is_over
 from deep_contact.physics.solvers.nncg import make_directions

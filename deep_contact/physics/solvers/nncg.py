@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import CONTRACT, SUMS, sweep
 from deep_contact.physics.convergence import is_over
 from deep_contact.physics.solvers.pgs import PGS

@@ -6,9 +6,8 @@ from collections import namedtuple
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from numba import njit
-
 from deep_contact import validation
+from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import Rows, sweep
 from deep_contact.physics.convergence import is_over
 from deep_contact.physics.islands import make_islands_workspace, sort_by_island

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from numba import njit
-
 from deep_contact import validation
+from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import NORMAL_MASS, TANGENT_MASS, sweep
 from deep_contact.physics.convergence import is_over
 from deep_contact.physics.solvers.pgs import PGS

@@ -61,7 +61,7 @@ def register(options: type, settings: Callable, loops: tuple[Loop, ...], *, adva
 
     options: frozen dataclass with `sweeps`, `tolerance` and `position_sweeps`. settings: function of the
     options -> NamedTuple of a type that one of the loops has. advance: function of the options -> function in place of
-    `engine.advance`, for a step by several threads, which always has tangent rows and puts nothing to sleep.
+    `engine.advance`, for a step of its own, which always has tangent rows and puts nothing to sleep.
     """
     if METHODS.setdefault(options.__name__, options) is not options:
         raise ValueError(f"options: expected a new name, got {options.__name__}, which is {METHODS[options.__name__]}")
@@ -101,12 +101,14 @@ def tolerance_argument(solver) -> float:
 
 
 def solver_from(method: str, options: Mapping):
-    """The solver that a file names by its method and options; old files name its precision, which is always double.
+    """The solver that a file names by its method and options.
+
+    Old files name a precision, which is always double, and threads, which change no bit.
 
     Raises ValueError for an unknown method, and what the method raises for its options.
     """
     one_of("precision", options.get("precision", "double"), ("double",))
-    known = {name: value for name, value in options.items() if name != "precision"}
+    known = {name: value for name, value in options.items() if name not in ("precision", "threads")}
     return METHODS[one_of("method", method, METHODS)](**known)
 
 

@@ -1,12 +1,10 @@
-"""Batches of contacts against brute force, against the sequential sweep, and thread by thread."""
+"""Batches of contacts against brute force, and against the sequential sweep."""
 
 import numpy as np
 import pytest
 from conftest import assert_same_bits, circles_at
-from numba import config
 
 import deep_contact as dc
-from deep_contact.compiled.team import ALONE
 from deep_contact.physics import batches, contact_solver, engine, position_correction
 from deep_contact.physics.segments import NO_SEGMENTS, segment_gap
 from deep_contact.physics.solvers import batched
@@ -79,15 +77,14 @@ def test_no_circle_occurs_twice_in_a_batch(pile):
 
 
 def test_blocks_of_a_phase_share_no_circle(pile):
-    plan, seen = plan_of(pile), []
-    blocks = np.arange(pile.contacts.count) // batches.BLOCK
-    for p in range(plan.count[batches.BLOCK_PHASES]):
-        mine = plan.order[plan.start[p] : plan.start[p + 1]]
+    plan = plan_of(pile)
+    blocks, order = np.arange(pile.contacts.count) // batches.BLOCK, plan.order[: plan.count[batches.BLOCKS]]
+    for phase in np.unique(plan.phase[order]):
+        mine = order[plan.phase[order] == phase]
         found = np.concatenate([np.unique(circles_of(pile, np.flatnonzero(blocks == k))) for k in mine])
         assert np.unique(found).size == found.size
-        seen.extend(mine)
-    assert sorted(seen) == list(range(plan.count[batches.BLOCKS]))
-    assert plan.count[batches.BLOCK_PHASES] < plan.count[batches.BLOCKS]  # or every block would be a phase of its own
+    assert sorted(order) == list(range(plan.count[batches.BLOCKS]))
+    assert (np.diff(plan.phase[order]) >= 0).all()
 
 
 @pytest.mark.filterwarnings("ignore:.*solved to a tolerance")
@@ -139,8 +136,7 @@ def test_positions_are_corrected_in_the_order_of_the_batches(pile):
     tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n + 5, 1))
     for ground in range(n, plan.count[batches.ROWS], 5):
         position_correction.fill_ground(state.world.box, state.scales, tiles.centre[ground : ground + 5])
-    mine = batched.share_of_scene(found, ALONE)
-    batched.correct_positions_in_batches(plan, tiles, mine, state.scales, 3)
+    batched.correct_positions_in_batches(plan, tiles, found, state.scales, 3)
     assert np.abs(expected.position - deep.position).max() > 0.05
     np.testing.assert_array_equal(found.position, expected.position)
 
@@ -165,39 +161,6 @@ def gas():
     scene = dc.lattice_in_box(1200, gap=0.5, seed=5, restitution=1.0)
     velocity = np.random.default_rng(5).normal(0.0, 30.0, (1200, 2))
     return dc.simulate(scene.replace(bodies=scene.bodies._replace(velocity=velocity)), steps=2).state
-
-
-def terrain():
-    """Circles on segments, which are solved by one thread."""
-    return dc.simulate(dc.terrain(900, seed=2), steps=150, solver=dc.PGS(sweeps=5)).state
-
-
-def shuffled(state):
-    """The state with its circles numbered at random."""
-    numbers = np.random.default_rng(7).permutation(state.bodies.count)
-    bodies = type(state.bodies)(*(np.ascontiguousarray(field[numbers]) for field in state.bodies))
-    return dc.simulate(state.replace(bodies=bodies, contacts=None, solved=False), steps=1).state
-
-
-@pytest.mark.skipif(config.DISABLE_JIT or config.NUMBA_NUM_THREADS < 2, reason="one thread")
-@pytest.mark.parametrize(
-    ("scene", "on_step"),
-    [
-        ("pile", None),
-        ("pile", lambda state, record: None),  # a call of compiled code for every step
-        ("shuffled", None),  # its phases have one block each
-        ("gas", None),
-        ("terrain", None),
-    ],
-)
-def test_threads_change_no_bit(scene, on_step, pile):
-    state = {"pile": lambda: pile, "shuffled": lambda: shuffled(pile), "gas": gas, "terrain": terrain}[scene]()
-    assert scene in ("gas", "terrain") or batched.phases_are_shared(plan_of(state).count) == (scene == "pile")
-    solvers = (dc.BatchedPGS(sweeps=15, threads=threads) for threads in (1, 2))
-    one, two = (dc.simulate(state, steps=20, on_step=on_step, solver=solver) for solver in solvers)
-    assert (one.contacts > 0).any()
-    assert_same_bits(one.state, two.state)
-    np.testing.assert_array_equal(one.theta, two.theta)
 
 
 def test_batches_search_for_contacts_as_often_as_pgs():

@@ -1,7 +1,6 @@
 """Trade the order of the contacts for speed.
 
-For large scenes: `BatchedPGS` relaxes eight contacts that share no circle at a time. The order of the contacts changes,
-and threads share the work, by default as many as pay.
+For large scenes: `BatchedPGS` relaxes eight contacts that share no circle at a time. The order of the contacts changes.
 """
 
 import time
@@ -15,8 +14,7 @@ pile = dc.simulate(
 ).state
 solvers = {
     "PGS": dc.PGS(sweeps=20, tolerance=None),
-    "colours, 1 thread": dc.BatchedPGS(threads=1, sweeps=20, tolerance=None),
-    "colours, 2 threads": dc.BatchedPGS(threads=2, sweeps=20, tolerance=None),
+    "colours": dc.BatchedPGS(sweeps=20, tolerance=None),
 }
 reference = None
 for name, solver in solvers.items():
@@ -28,5 +26,5 @@ for name, solver in solvers.items():
     reference = position if reference is None else reference
     apart = np.abs(position - reference).max()
     print(
-        f"{name:19s} {took:6.2f} ms a step, at most {apart:.1e} m from PGS after 40 steps"
+        f"{name:8s} {took:6.2f} ms a step, at most {apart:.1e} m from PGS after 40 steps"
     )
