@@ -157,7 +157,7 @@ def positive(text: str, least: int = 1) -> int:
 
 
 def parse(arguments=None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     add = parser.add_argument
     add("--simulations", type=positive, metavar="N", help="how many (150; 640 packings)")
     add("--steps", type=positive, metavar="N", help="time steps of each (600)")

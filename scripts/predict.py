@@ -89,7 +89,7 @@ def predict_file(path: Path, model, out: Path, *, pictures: bool = True) -> list
 
 def main(argv=None) -> int:
     """Predict every file. A bad one is reported, and the others are still predicted."""
-    about = __doc__.partition(": ")[2]
+    about = (__doc__ or "").partition(": ")[2]
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("states", nargs="+", type=Path, metavar="STATE.xml", help="state files")

@@ -307,7 +307,7 @@ def claims(data: dict) -> Iterator[results.Claim]:
 
 
 def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     add = parser.add_argument
     add("--quick", action="store_true", help="a smaller study that ends within five minutes")
     add("--seed", type=int, default=0, help="of the piles")

@@ -53,6 +53,13 @@ def test_what_needs_no_keras_works_without_it_and_what_needs_it_says_so(tmp_path
     assert "figure 4.2: keras: expected the package" in done.stderr
 
 
+def test_another_backend_of_keras_is_refused_in_a_line():
+    arguments = "-m", "deep_contact", "figure", "4.2", "--quick"
+    done = run_python(*arguments, environment={"KERAS_BACKEND": "jax"}, status=4)
+    assert len(done.stderr.splitlines()) == 1
+    assert "tensorflow: expected it as the backend of Keras" in done.stderr
+
+
 def test_the_small_installation_of_the_guide_is_all_but_keras_and_tensorflow():
     config = ConfigParser()
     config.read(ROOT / "setup.cfg", encoding="utf-8")

@@ -21,6 +21,7 @@ def __getattr__(name: str):
     """`from deep_contact.cnn.backend import keras`, or `tensorflow`: the package, imported by the first who asks."""
     if name not in ("keras", "tensorflow"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    _expect_tensorflow(os.environ.get("KERAS_BACKEND", "tensorflow"))
     with _importing:
         return _imported(name)
 
@@ -36,7 +37,15 @@ def _imported(name: str):
             needs = "expected the package, which training and networks on images need"
             raise ModuleNotFoundError(f"{error.name}: {needs}, got none: pip install keras tensorflow") from error
         _apply_limit()
+    if name == "keras":
+        _expect_tensorflow(sys.modules[name].backend.backend())
     return sys.modules[name]
+
+
+def _expect_tensorflow(backend: str) -> None:
+    if backend != "tensorflow":
+        needs = "expected it as the backend of Keras, which training and networks on images need"
+        raise ModuleNotFoundError(f"tensorflow: {needs}, got {backend!r}: unset KERAS_BACKEND, or change keras.json")
 
 
 def limit_threads(count: int) -> None:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from llvmlite.binding import get_host_cpu_features
-from numba import uint64
+from numba import config, uint64
 
 from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec
 from deep_contact.compiled import njit
@@ -99,7 +99,9 @@ class Program:
         second = self._block("second_back", self._up("back_to_second", fourth[0], second[0]))
         last = self._image(second[1].height, second[1].width, len(COEFFICIENTS))
         self._convolution("coefficients", second[1], last)
-        self.layers, self.nodes = np.array(self._layers, LAYER), np.concatenate(self._nodes)
+        # Without the compiler only a record array has its columns as attributes.
+        layers, self.nodes = np.array(self._layers, LAYER), np.concatenate(self._nodes)
+        self.layers = layers.view(np.recarray) if config.DISABLE_JIT else layers
         self.weights, self._input, self._output = np.concatenate(self._weights), image, last
         self._workspaces = [_aligned(self._size)]  # those that no call is using
         del self._of, self._layers, self._nodes, self._weights

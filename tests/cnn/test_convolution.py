@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import run_python
 
 from deep_contact import sph
 from deep_contact.cnn import architectures, far_field
@@ -31,6 +32,23 @@ def test_the_program_computes_what_keras_computes(width, shape):
     found = Program(weights_of(model), shape)(given)
     # Sums of some thousand products in another order, in single precision.
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * np.abs(expected).max())
+
+
+PLAIN = """
+import numpy as np
+from deep_contact.cnn.convolution import Program, layer_shapes
+rng = np.random.default_rng(1)
+def normal(shape, scale):
+    return rng.normal(0.0, scale, shape).astype(np.float32)
+weights = {name: [normal(one, 0.1) for one in shapes] for name, shapes in layer_shapes(3).items()}
+print(*Program(weights, (9, 9))(normal((9, 9, 29), 1.0)).ravel())
+"""
+
+
+def test_the_program_computes_the_same_without_the_compiler():
+    outputs = [run_python("-c", PLAIN, environment={"NUMBA_DISABLE_JIT": off}).stdout for off in ("0", "1")]
+    one, two = (np.array(output.split(), float) for output in outputs)
+    np.testing.assert_allclose(one, two, rtol=0, atol=2e-5 * np.abs(one).max())  # single precision, other fusions
 
 
 def test_a_second_image_finds_nothing_of_the_first():

@@ -1,19 +1,26 @@
-"""Numba's cache does not outlive a change of any source that was compiled into it, nor does damage go unnoticed; and
-compiling is announced."""
+"""The cache of compiled code does not outlive a change of any source that was compiled into it, nor does damage go
+unnoticed; it travels; Numba is as it was for everybody else; and compiling is announced."""
 
 import importlib
 import pickle
+import platform
+import re
+import shutil
+import subprocess
 import sys
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
-from numba import njit
-from numba.core import caching, event
+from conftest import ROOT, run_python
+from numba.core import event
 
 import deep_contact.compiled as compiled
-from deep_contact.compiled import Announcement, code_cache
+from deep_contact.compiled import Announcement, code_cache, njit
 from deep_contact.compiled.code_cache import source_stamp
+
+needs_compiler = pytest.mark.skipif(bool(numba.config.DISABLE_JIT), reason="nothing is compiled")
 
 SOURCES = {
     "constants.py": "SLOP = 1\n",
@@ -36,7 +43,7 @@ def stamp(tmp_path):
 
     def write(name, text):
         source_stamp.cache_clear()
-        compiled.code_cache._read.cache_clear()
+        code_cache._read.cache_clear()
         (tmp_path / "deep_contact" / name).write_text(text)
         return source_stamp(tmp_path / "deep_contact" / "physics" / "sweep.py", tmp_path)
 
@@ -59,9 +66,8 @@ def test_code_stays_when_another_module_changes_and_circles_of_imports_have_a_st
 
 @pytest.fixture
 def cached(tmp_path):
-    """A cache as `prepare_numba` has Numba make it, with one entry."""
-    compiled.prepare_numba()
-    cache = caching.IndexDataCacheFile(str(tmp_path), "sweep", "stamp")
+    """The files of a function, with one entry."""
+    cache = code_cache._CheckedFile(str(tmp_path), "sweep", "stamp")
     cache.save("key", {"code": np.arange(100)})
     return cache
 
@@ -80,31 +86,34 @@ def test_a_damaged_file_counts_as_missing_and_is_replaced(cached, tmp_path, name
     assert cached.load("key") is None
     cached.save("key", {"code": np.ones(1)})
     assert cached.load("key")["code"].sum() == 1
-    assert caching.IndexDataCacheFile(str(tmp_path), "sweep", "other").load("key") is None  # of another stamp
+    assert code_cache._CheckedFile(str(tmp_path), "sweep", "other").load("key") is None  # of another stamp
 
 
+def imported(folder, name, text, monkeypatch):
+    """The module of this text."""
+    (folder / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(folder)
+    module = importlib.import_module(name)
+    del sys.modules[name]
+    return module
+
+
+@needs_compiler
 def test_a_users_function_is_stale_once_the_package_changed(tmp_path, monkeypatch):
     """One that is compiled with kernels of this package has to be compiled again with them."""
-    (tmp_path / "of_a_user.py").write_text(
-        "from numba import njit\nfrom deep_contact.physics import collision\n"
-        "@njit(cache=True)\ndef f():\n    return 1\n"
-    )
-    monkeypatch.syspath_prepend(tmp_path)
-    compiled.prepare_numba()
-    found = importlib.import_module("of_a_user").f._cache._cache_file._source_stamp
-    del sys.modules["of_a_user"]
-    assert found == source_stamp(tmp_path / "of_a_user.py")
-    assert found != source_stamp(tmp_path / "of_a_user.py", tmp_path)  # where no deep_contact is
+    text = "from deep_contact.compiled import njit\n@njit(cache=True)\ndef f():\n    return 1\n"
+    (file,) = {file._source_stamp for file in imported(tmp_path, "of_a_user", text, monkeypatch).f._cache._files}
+    assert file == source_stamp(tmp_path / "of_a_user.py")
+    assert file != source_stamp(tmp_path / "of_a_user.py", tmp_path)  # where no deep_contact is
 
 
+@needs_compiler
 def test_code_for_classes_of_other_packages_is_not_kept(tmp_path, monkeypatch):
-    (tmp_path / "of_a_solver.py").write_text(
-        "from typing import NamedTuple\nfrom numba import njit\nfrom deep_contact.state import Bodies\n"
+    text = (
+        "from typing import NamedTuple\nfrom deep_contact.compiled import njit\nfrom deep_contact.state import Bodies\n"
         "class Mine(NamedTuple):\n    x: float\n@njit(cache=True)\ndef f(a):\n    return a[0]\n"
     )
-    monkeypatch.syspath_prepend(tmp_path)
-    compiled.prepare_numba()
-    module = importlib.import_module("of_a_solver")
+    module = imported(tmp_path, "of_a_solver", text, monkeypatch)
     assert module.f(module.Mine(2.0)) == 2.0
     assert not list(tmp_path.rglob("*.nbi"))
     bodies = module.Bodies(*(np.ones(1),) * len(module.Bodies._fields))
@@ -112,18 +121,148 @@ def test_code_for_classes_of_other_packages_is_not_kept(tmp_path, monkeypatch):
     assert len(list(tmp_path.rglob("*.nbc"))) == 2
 
 
+UNTOUCHED = """
+from numba.core import boxing, caching, dispatcher, pythonapi, types
+from numba.np import linalg
+
+def seen():
+    places = caching, caching.IndexDataCacheFile, caching._SourceFileBackedLocatorMixin, dispatcher.Dispatcher
+    boxers = [pythonapi._boxers.functions[one] for one in (types.NamedTuple, types.NamedUniTuple)]
+    return [dict(vars(one)) for one in (*places, pythonapi.PythonAPI, linalg)], boxers
+
+before = seen()
+from deep_contact.physics.convergence import is_over
+import deep_contact.simulation, deep_contact.sph.grid, deep_contact.cnn.convolution
+is_over(1.0, 2.0)
+print(before == seen())
+"""
+
+
+def test_the_package_leaves_numba_as_it_was():
+    assert run_python("-c", UNTOUCHED).stdout.strip() == "True"
+
+
+def test_all_functions_of_the_package_are_compiled_by_its_own_decorator():
+    """Numba's own would keep code that something else in the package has made stale."""
+    own = re.compile(r"from numba import .*\bn?jit\b|numba\.n?jit\(")
+    assert not [str(path) for path in (ROOT / "deep_contact").rglob("*.py") if own.search(path.read_text())]
+
+
+@needs_compiler
 def test_numba_compiles_what_needs_blas_without_importing_it_before():
-    compiled.prepare_numba()
-    assert njit(lambda a: np.dot(a, a))(np.full((2, 2), 2.0)).tolist() == [[8.0, 8.0], [8.0, 8.0]]
+    assert numba.njit(lambda a: np.dot(a, a))(np.full((2, 2), 2.0)).tolist() == [[8.0, 8.0], [8.0, 8.0]]
 
 
-def test_without_a_folder_to_keep_code_in_functions_are_compiled_and_one_warning_says_so(monkeypatch):
-    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
-    code_cache._warn_once.cache_clear()
-    with pytest.warns(UserWarning, match="compiled code: expected") as warned:
-        functions = [njit(cache=True)(lambda x: x + 1) for _ in range(2)]
-    assert [function(1) for function in functions] == [2, 2]
-    assert len(warned) == 1
+SMALL = """
+from deep_contact.physics.convergence import all_finite, is_over
+from deep_contact.sph.kernels import gaussian, np
+for function, arguments in ((is_over, (1.0, 2.0)), (all_finite, (np.ones((3, 4)),)), (gaussian, (0.3, 2))):
+    print(function(*arguments), sum(function.stats.cache_misses.values()))
+"""
+"""Prints what small functions return, and how many versions of each were compiled."""
+
+
+def copy_of_the_package(folder):
+    return shutil.copytree(ROOT / "deep_contact", folder / "deep_contact", ignore=shutil.ignore_patterns("__pycache__"))
+
+
+def run_small(folder, **environment):
+    """What `SMALL` prints with the package in this folder and no home."""
+    nowhere = {"HOME": "/dev/null/none", "XDG_CACHE_HOME": "/dev/null/none", "NUMBA_CACHE_DIR": ""}
+    environment |= nowhere | {"PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1"}
+    return run_python("-c", SMALL, environment=environment, cwd=folder)
+
+
+@needs_compiler
+def test_without_a_folder_to_keep_code_in_functions_are_compiled_and_one_warning_says_so(tmp_path):
+    package = copy_of_the_package(tmp_path)
+    for folder in (package, *(path for path in package.rglob("*") if path.is_dir())):
+        (folder / "__pycache__").touch()  # a file, in whose place not even root can make a folder
+    done = run_small(tmp_path)
+    assert done.stderr.count("compiled code: expected a folder") == 1
+    assert done.stdout.count(" 1\n") == 3
+
+
+@needs_compiler
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the name of another kind of processor")
+def test_code_for_a_named_processor_travels(tmp_path):
+    """As in a container: the folder is another one, nothing can be written, and nothing has to be."""
+    target = {"NUMBA_CPU_NAME": "x86-64-v2", "NUMBA_CPU_FEATURES": ""}
+    copy_of_the_package(tmp_path / "here")
+    first = run_small(tmp_path / "here", **target).stdout
+    there = (tmp_path / "here").rename(tmp_path / "there")
+    before = {path: path.stat().st_mtime_ns for path in there.rglob("*")}
+    assert first.count(" 1\n") == 3
+    assert run_small(there, **target).stdout == first.replace(" 1\n", " 0\n")
+    assert {path: path.stat().st_mtime_ns for path in there.rglob("*")} == before
+
+
+def double(x):
+    return x + x
+
+
+@pytest.fixture
+def folders(tmp_path, monkeypatch):
+    """Where the code of all functions is looked for."""
+    paths = [str(tmp_path / name) for name in ("beside", "own")]
+    monkeypatch.setattr(code_cache, "_folders", lambda file: paths)
+    return paths
+
+
+def hits_and_misses(function):
+    return tuple(sum(counts.values()) for counts in (function.stats.cache_hits, function.stats.cache_misses))
+
+
+@needs_compiler
+def test_code_is_read_where_nothing_can_be_written_and_written_elsewhere(folders, monkeypatch):
+    njit(double, cache=True)(1)
+    save = code_cache._CheckedFile.save
+
+    def refuse(file, *entry):
+        if file._cache_path == folders[0]:
+            raise PermissionError
+        save(file, *entry)
+
+    monkeypatch.setattr(code_cache._CheckedFile, "save", refuse)
+    for counts in ((1, 1), (2, 0)):
+        again = njit(double, cache=True)
+        assert [again(1), again(0.5)] == [2, 1.0]
+        assert hits_and_misses(again) == counts
+
+
+@needs_compiler
+def test_what_another_process_has_compiled_meanwhile_is_not_compiled_again(folders, monkeypatch):
+    mine, others = (njit(double, cache=True) for _ in range(2))
+
+    def wait(turn):
+        monkeypatch.setattr(code_cache._Turn, "take", lambda turn: False)
+        return others(1) == 2
+
+    monkeypatch.setattr(code_cache._Turn, "take", wait)
+    assert mine(1) == 2
+    assert hits_and_misses(mine) == (1, 0)
+
+
+TAKEN = """
+import sys
+from deep_contact.compiled.code_cache import _Turn
+print(_Turn("f", sys.argv[1:], None).take(), flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.mark.skipif(code_cache.fcntl is None, reason="no locks on this system")
+def test_another_processs_turn_is_waited_for_as_long_as_it_lives_but_not_for_ever(tmp_path, monkeypatch):
+    said, command = [], [sys.executable, "-c", TAKEN, str(tmp_path)]
+    turn = code_cache._Turn("f", [str(tmp_path)], lambda: said.append("compiling"))
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout.readline() == "True\n"
+        assert code_cache._Turn("g", [str(tmp_path)], None).take()  # of another function
+        monkeypatch.setattr(code_cache, "MOST_WAIT", 0.7)
+        assert not turn.take()
+        assert said
+        other.kill()
+    assert turn.take()
 
 
 def test_an_index_that_names_a_class_which_has_moved_counts_as_none(tmp_path):
@@ -136,6 +275,7 @@ def test_an_index_that_names_a_class_which_has_moved_counts_as_none(tmp_path):
     assert file.load(("key",)) == "code"
 
 
+@needs_compiler
 def test_compiling_is_announced_once_and_only_where_physics_are_compiled(monkeypatch):
     monkeypatch.setattr(compiled, "PATIENCE", 0.0)
     one, two, other = (njit(lambda x, k=k: x + k) for k in range(3))
