@@ -20,7 +20,7 @@ from deep_contact.reporting import scripts
 COMMANDS = {
     "simulate": "run a scene, or go on from a state",
     "trade": "measure what each setting costs on a scene, and what it gets wrong",
-    "warm-up": "compile ahead what first runs need, once: some two minutes",
+    "warm-up": "compile ahead what first runs need, once, on all cores: a minute or two",
     "sample": "print the path of a state of the thesis's scene",
     "figure": "draw a figure by its number in the thesis; without a number, list them",
     "table": "make a table by its number in the thesis; without a number, list them",
@@ -220,24 +220,40 @@ def _scene(args):
     return dc.load_trajectory(args.state)[-1] if args.state.endswith(".h5") else dc.read_state(args.state)
 
 
+KINDS = {
+    "a pile": ("lattice_in_box", {"accuracy": "fast"}),
+    "many circles": ("lattice_in_box", {"method": "BatchedPGS"}),
+    "segments that move": ("drum", {"accuracy": "fast"}),
+    "a pile, accurately": ("lattice_in_box", {"accuracy": "reference"}),
+}
+"""Kinds of scenes and solvers that are compiled each by itself, the longest first."""
+
+
 def _warm_up(args) -> int:
-    """Run a step of each kind of scene and solver that is compiled by itself."""
+    """Compile all kinds, in as many processes as there are cores."""
+    import time
+
+    from deep_contact.parallel import cores, finished
+
+    begun, jobs = time.perf_counter(), min(cores(), len(KINDS))
+    for number, seconds in finished(_compile, KINDS, jobs=jobs):
+        print(f"{list(KINDS)[number]}: {seconds:.1f} s", flush=True)
+    print(f"{len(KINDS)} kinds in {time.perf_counter() - begun:.1f} s, in {jobs} processes")
+    return 0
+
+
+def _compile(kind: str) -> float:
+    """Run a step of a kind; its time, s."""
     import time
 
     import deep_contact as dc
+    from deep_contact.physics.solvers import METHODS
 
-    lattice = dc.lattice_in_box(20)
-    kinds = {
-        "a pile": (lattice, {"accuracy": "fast"}),
-        "a pile, accurately": (lattice, {"accuracy": "reference"}),
-        "many circles": (lattice, {"solver": dc.BatchedPGS()}),
-        "segments that move": (dc.drum(20), {"accuracy": "fast"}),
-    }
-    for kind, (scene, options) in kinds.items():
-        begun = time.perf_counter()
-        dc.simulate(scene, steps=1, **options)
-        print(f"{kind}: {time.perf_counter() - begun:.1f} s", flush=True)
-    return 0
+    begun, (scene, options) = time.perf_counter(), KINDS[kind]
+    if "method" in options:
+        options = {"solver": METHODS[options["method"]]()}
+    dc.simulate(getattr(dc, scene)(20), steps=1, **options)
+    return time.perf_counter() - begun
 
 
 def _sample(args) -> int:

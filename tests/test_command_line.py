@@ -11,6 +11,7 @@ from PIL import Image
 
 import deep_contact as dc
 from deep_contact import __main__ as command_line
+from deep_contact import parallel
 from deep_contact.__main__ import main
 from deep_contact.io.xml_tree import StateFileError
 from deep_contact.physics.solvers import describe
@@ -58,6 +59,18 @@ def test_help_names_the_program_as_it_was_called(program, named, monkeypatch, ca
 @pytest.mark.parametrize("command", ["predict", "generate-data", "train", "figure all"])
 def test_python_may_leave_docstrings_out(command):
     assert run_python("-OO", "-m", "deep_contact", *command.split(), "--help").stdout.startswith("usage:")
+
+
+def test_warm_up_compiles_every_kind_and_says_how_long(monkeypatch, capsys):
+    done = []
+    monkeypatch.setattr(parallel, "cores", lambda: 1)
+    monkeypatch.setattr(dc, "simulate", lambda scene, steps, **options: done.append((scene.name, *options)))
+    assert main(["warm-up"]) == 0
+    assert len({*done}) == 3  # two presets of a pile have the same options
+    assert len(done) == len(command_line.KINDS)
+    *kinds, whole = capsys.readouterr().out.splitlines()
+    assert [line.partition(": ")[0] for line in kinds] == list(command_line.KINDS)
+    assert whole.startswith("4 kinds in ")
 
 
 # ---- figures and tables ----
