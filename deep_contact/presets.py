@@ -383,12 +383,13 @@ def _of_densities(scene: State) -> list[str]:
 
 def _is_dam(scene: State) -> bool:
     """Whether circles stand so much higher than they could lie that they will flow apart."""
-    bodies, (left, _, right, _) = scene.bodies, scene.world.box
+    bodies, (left, low, right, high), (g_x, g_y) = scene.bodies, scene.world.box, scene.world.gravity
     if bodies.count < 2:
         return False
     up, across = np.ptp(up_and_across(scene), axis=1) + 2.0 * mean(bodies.radius)
     squares = float((bodies.radius**2).sum())
-    lying = max(2.0 * math.sqrt(3.0) * squares / (right - left), 2.0 * mean(bodies.radius))
+    wide = high - low if abs(g_x) > abs(g_y) else right - left
+    lying = max(2.0 * math.sqrt(3.0) * squares / wide, 2.0 * mean(bodies.radius))
     return bool(up > SPREAD * lying and math.pi * squares > DENSE * up * across)
 
 

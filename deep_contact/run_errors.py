@@ -49,9 +49,10 @@ ERRORS = {
 }
 """Name -> what it is, and its unit. All but the penetrations, which should be 0, are against the reference.
 
-Energy, height and force are those of the whole pile (the force from its momentum: M (g + dv_y / dt), in weights; its
-mean at rest is 1, exactly). The distribution of forces is the classical fingerprint of a granular packing (Radjai et
-al., Phys. Rev. Lett. 77, 1996); penetration and restlessness are what engine users look at (Catto, Solver2D, 2024).
+Energy, height and force are those of the whole pile (the force from its momentum: M (g + dv / dt) with v against
+gravity, in weights; its mean at rest is 1, exactly). The distribution of forces is the classical fingerprint of a
+granular packing (Radjai et al., Phys. Rev. Lett. 77, 1996); penetration and restlessness are what engine users look at
+(Catto, Solver2D, 2024).
 """
 
 
@@ -61,16 +62,16 @@ class Observation(NamedTuple):
     | field       | meaning                                                                    | shape    | unit    |
     |-------------|----------------------------------------------------------------------------|----------|---------|
     | kinetic     | kinetic energy                                                             | (T,)     | M u²    |
-    | height      | of the centre of mass above the floor                                      | (T,)     | r       |
+    | height      | of the centre of mass above the lowest corner of the box, against gravity  | (T,)     | r       |
     | speed       | root mean square over the circles                                          | (T,)     | u       |
     | penetration | mean, 95th percentile and largest over the contacts                        | (T, 3)   | r       |
     | contacts    | pairs whose gap is below `TOUCHING`, per circle                            | (T,)     | –       |
-    | force       | mean vertical force on the box since the time before; None without gravity | (T − 1,) | M g     |
+    | force       | mean force on the box along gravity since the time before; None without it | (T − 1,) | M g     |
     | loads       | share of the λ_n > 0 at rest that are at most LOADS · mean; None if unknown | (121,)   | –       |
     | interval    | between two times                                                          | ()       | r / u   |
     | quantities  | name -> values of a quantity of the user, or a sentence on why there are none | (T, …) | its own |
 
-    u = √(g r); without gravity a tenth of the fastest circle's speed at the first time.
+    u = √(g r); without gravity a tenth of the fastest circle's speed at the first time, and there is no height: 0.
     """
 
     kinetic: np.ndarray
@@ -105,18 +106,19 @@ def observe(
         own = {name: with_next(name, quantity, state, own[name]) for name, quantity in quantities.items()}
         bodies = state.bodies
         g, r, mass = float(np.hypot(*state.world.gravity)), float(bodies.radius.mean()), float(bodies.mass.sum())
+        up, low, high = -np.array(state.world.gravity) / (g or 1.0), state.world.box[:2], state.world.box[2:]
         squares = (bodies.velocity**2).sum(axis=1)
         unit = unit or math.sqrt(g * r) or math.sqrt(squares.max()) / FASTEST
         if unit == 0:
             raise ValueError("states: expected gravity or motion, by which errors of a run are scaled, got none")
         kinetic = 0.5 * (bodies.mass @ squares + bodies.inertia @ bodies.spin**2) / (mass * unit**2)
-        height = (bodies.mass @ bodies.position[:, 1] / mass - state.world.box[1]) / r
+        height = (bodies.mass @ bodies.position @ up / mass - np.minimum(up * low, up * high).sum()) / r
         speed = np.sqrt(squares.mean()) / unit
         depth = np.maximum(0.0, -state.contacts.separation) / r
         deep = (depth.mean(), np.percentile(depth, 95), depth.max()) if depth.size else (0.0, 0.0, 0.0)
         touching = np.count_nonzero(state.contacts.separation <= TOUCHING * r) / bodies.count
         rows.append((kinetic, height, speed, *deep, touching))
-        momentum.append(bodies.mass @ bodies.velocity[:, 1] / mass / unit)
+        momentum.append(bodies.mass @ bodies.velocity @ up / mass / unit)
         impulses = state.contacts.normal_start
         loads.append(impulses[impulses > 0])
         times.append(state.time * unit / r)

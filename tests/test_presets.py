@@ -3,6 +3,7 @@
 import math
 import re
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -254,7 +255,12 @@ def test_what_a_preset_runs_is_what_the_study_priced(n):
 
 @pytest.mark.parametrize(("aspect", "room", "is_dam"), [(2, 4, True), (2, 1.2, False), (6, 3, True)])
 def test_what_stands_higher_than_it_can_lie_is_a_dam(aspect, room, is_dam):
-    assert ("dam break" in presets.kinds_of(dam_break(300, aspect=aspect, room=room))) == is_dam
+    scene = dam_break(300, aspect=aspect, room=room)
+    assert ("dam break" in presets.kinds_of(scene)) == is_dam
+    (x_min, y_min, x_max, y_max), position = scene.world.box, scene.bodies.position[:, ::-1].copy()
+    aside = replace(scene.world, box=(y_min, x_min, y_max, x_max), gravity=scene.world.gravity[::-1])
+    lying = scene.replace(world=aside, bodies=scene.bodies._replace(position=position))
+    assert ("dam break" in presets.kinds_of(lying)) == is_dam
 
 
 def test_a_run_solved_to_a_tolerance_says_so_once_with_the_price_and_a_plan_prints_it():

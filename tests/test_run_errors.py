@@ -77,6 +77,23 @@ def test_numbers_are_the_same_at_every_scale(scale):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("quarters", [1, 2, 3])
+def test_a_pile_that_is_turned_with_gravity_has_the_same_numbers(quarters):
+    # Height, creep, force and impact are along gravity.
+    def turned(state):
+        (x_min, y_min, x_max, y_max), b = state.world.box, state.bodies
+        turn = np.round([[np.cos(quarters * np.pi / 2), -np.sin(quarters * np.pi / 2)],
+                         [np.sin(quarters * np.pi / 2), np.cos(quarters * np.pi / 2)]])  # fmt: skip
+        corners = np.array([[x_min, y_min], [x_max, y_max]]) @ turn.T
+        box, gravity = (*corners.min(axis=0), *corners.max(axis=0)), tuple(turn @ state.world.gravity)
+        bodies = b._replace(position=b.position @ turn.T, velocity=b.velocity @ turn.T)
+        return state.replace(bodies=bodies, world=dc.World(box=box, gravity=gravity))
+
+    run = states(dc.circles_in_box(30, seed=1), count=30)
+    for one, other in zip(observe(run)[:6], observe(map(turned, run))[:6]):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
+
+
 def test_an_ensemble_has_no_error_against_itself():
     runs = [observe(states(dc.circles_in_box(30, seed=seed), count=30)) for seed in (1, 2)]
     found = errors(runs, runs)

@@ -425,7 +425,7 @@ def contacts_at(position, radius, box, segments, skin, cells, buffer, least):
         m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
         if segments is not None:
             if m >= 0 and segments.line.shape[0] > 0:
-                m = insert_pairs(position, radius, segments, skin, buffer.body_a, buffer.body_b, m)
+                m = insert_pairs(position, radius, box, segments, skin, buffer.body_a, buffer.body_b, m)
         if m >= 0:
             break
         # Only a heap of overlapping circles has so many pairs.

@@ -20,7 +20,7 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.physics.collision import COLUMNS, ROWS, make_cells, sort_level, wall_gap
-from deep_contact.physics.segments import BESIDE, is_free, near_box, segment_gap, shared_end, time_to_touch
+from deep_contact.physics.segments import BESIDE, ON, START, hides, is_free, near_box, segment_gap, time_to_touch
 from deep_contact.state import WALL_NORMALS
 
 FAST = 0.5
@@ -183,9 +183,8 @@ def _first_touch(i, now, path, swept):
     to_x, to_y = x + move[i, 0], y + move[i, 1]
     way = min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y)
     if not is_free(segments.start, segments.grid, *way):
-        near = near_box(segments, *way, np.empty_like(segments.every))
-        for s in near:
-            time = max(now, _touch_segment(i, s, near, path))
+        for s in near_box(segments, *way, np.empty_like(segments.every)):
+            time = max(now, _touch_segment(i, s, path))
             if time < first:
                 first, partner = time, n + 4 + s
     for k in _crossing(i, path, swept):
@@ -203,9 +202,9 @@ def _least(distance, reach, radius, scales):
 
 
 @njit(cache=True, error_model="numpy")
-def _touch_segment(i, s, near, path):
-    """Time of the first touch of a circle and a segment, in steps; inf without one. near: segments it may touch."""
-    start, move, _, radius, _, segments, scales = path
+def _touch_segment(i, s, path):
+    """Time of the first touch of a circle and a segment, in steps; inf without one."""
+    start, move, _, radius, box, segments, scales = path
     line = segments.line
     x, y, reach = start[i, 0], start[i, 1], radius[i] + scales.wall_skin
     e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
@@ -216,10 +215,15 @@ def _touch_segment(i, s, near, path):
     least = _least(segment_gap(line[s], x, y)[0], reach, radius[i], scales)
     time, part = time_to_touch(line[s], x, y, move[i, 0], move[i, 1], least)
     if part != BESIDE and time <= 1.0:
-        # A joint is no nearer than the line: what slides along one segment does not stop at the next.
-        for k in near:
-            if shared_end(line, s, part, k) != BESIDE:
+        # An end on a surface is no nearer than that: what slides along one segment does not stop at the next.
+        end, column = 2 * s + part - START, 2 * (part - START)
+        e_x, e_y = line[s, column], line[s, column + 1]
+        for k in segments.hiding[segments.first[end] : segments.first[end + 1]]:
+            if hides(line[k], e_x, e_y, x, y, reach):
                 least = min(least, _least(segment_gap(line[k], x, y)[0], reach, radius[i], scales))
+        for wall in range(4):
+            if wall_gap(e_x, e_y, box, wall) <= ON * reach:
+                least = min(least, _least(wall_gap(x, y, box, wall), reach, radius[i], scales))
         time, _ = time_to_touch(line[s], x, y, move[i, 0], move[i, 1], least)
     return time
 

@@ -92,7 +92,12 @@ def with_a_past(state: StateWithContacts) -> StateWithContacts:
     if state.contacts.count == 0:
         return state
     problem = step_problem(state)
-    return _starting(state, *_good(state, *supported(state, problem), problem, None))
+    normal, tangent = _good(state, *supported(state, problem), problem, None)
+    rows = problem.rows._replace(impulse=np.column_stack([normal, tangent]))
+    # Impulses of which less than half would be best leave more energy than none.
+    if not np.isfinite(rows.impulse).all() or best_share(rows, problem.solver_bodies) < 0.5:
+        return state
+    return _starting(state, normal, tangent)
 
 
 def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:

@@ -3,6 +3,10 @@
 Nonlinear Gauss-Seidel as in Box2D 2.3: each contact, at the positions as they are by then, moves its bodies by a share
 of the penetration beyond the slop, by their inverse masses. For circles nothing turns.
 
+Circles are pushed along the line of their centres. Where many lie in almost the same place, each push changes the
+directions of the next, and all would follow the first pair along one line. So a pair whose line has turned by more than
+60° since the narrow phase is pushed along the normal that this found.
+
 `correct_tiles` does eight contacts at a time that share no circle. Contacts are put into levels for it, each after all
 contacts before it that share a circle with it, so that every circle meets its contacts in the order of the list; and no
 product is fused with a sum. So it computes the same bits as contact by contact, and `correct_positions` takes the way
@@ -40,6 +44,9 @@ IDLE = 4
 
 _IDLE_RADIUS = 1e-200
 """Of the idle body, m: not 0, so that it is found to coincide with itself, and never beyond a slop."""
+
+TURNED = 0.5
+"""Cosine of the angle between the line of the centres and the normal that was found, below which the latter counts."""
 
 _FEW = 3
 """Sweeps for which levels do not pay: they cost about as much as three sweeps contact by contact."""
@@ -135,10 +142,11 @@ def correct_in_turn(bodies, contacts, box, segments, scales):
             distance = math.sqrt(d_x * d_x + d_y * d_y)
             separation = distance - reach
             push = min(BAUMGARTE * (wanted - distance), longest) / (mass[a] + mass[b])
-            if distance < SMALLEST_DISTANCE * reach:
-                d_x, d_y = contacts.normal[i, 0], contacts.normal[i, 1]
-            else:
+            n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
+            if distance >= SMALLEST_DISTANCE * reach and d_x * n_x + d_y * n_y > TURNED * distance:
                 push /= distance
+            else:
+                d_x, d_y = n_x, n_y
             position[b, 0] += push * mass[a] * d_x
             position[b, 1] += push * mass[a] * d_y
             position[a, 0] = x - push * mass[b] * d_x
@@ -164,7 +172,7 @@ def correct_tiles(body, normal, stride, centre, first, last, scales):
 
     body: (T, 2, 8), rows of `centre` (`fill_ground`). normal: (T, stride, 8), the first two as they were found.
     """
-    none, tiny = spread(0.0), spread(SMALLEST_DISTANCE)
+    none, tiny, turned = spread(0.0), spread(SMALLEST_DISTANCE), spread(TURNED)
     slop, share, longest = spread(scales.slop), spread(BAUMGARTE), spread(scales.max_correction)
     deepest = none
     for t in range(first, last):
@@ -175,16 +183,17 @@ def correct_tiles(body, normal, stride, centre, first, last, scales):
         square, squared = times(d_x, d_x) + times(d_y, d_y), times(wanted, wanted)
         found_x, found_y = load(normal, stride * t), load(normal, stride * t + 1)
         # A mass of 0 is a wall's: its normal is given, and a alone moves.
-        behind = times(d_x, found_x) + times(d_y, found_y) - r_a - r_b
+        along = times(d_x, found_x) + times(d_y, found_y)
+        behind = along - r_a - r_b
         if not any_less(none, where_less(none, m_b, squared - square, none - slop - behind)):
             continue  # Nothing to correct; found without a square root.
         distance = simd.root(square)
         push = least(times(share, wanted - distance), longest) / (m_a + m_b)
-        # Coinciding centres are pushed apart along the normal that the narrow phase gave them.
-        push = where_less(distance, times(tiny, reach), push, push / distance)
+        # Coinciding centres, and those that have turned, are pushed along the normal that the narrow phase gave them.
+        beyond = where_less(distance, times(tiny, reach), none, along - times(turned, distance))
+        push = where_less(none, beyond, push / distance, push)
         push = where_less(square, squared, push, none)
-        n_x = where_less(distance, times(tiny, reach), found_x, d_x)
-        n_y = where_less(distance, times(tiny, reach), found_y, d_y)
+        n_x, n_y = where_less(none, beyond, d_x, found_x), where_less(none, beyond, d_y, found_y)
         depth = where_less(square, squared, distance - reach, none)
         from_wall = most(none, least(times(none - share, behind + slop), longest))
         n_x, n_y = where_less(none, m_b, n_x, found_x), where_less(none, m_b, n_y, found_y)

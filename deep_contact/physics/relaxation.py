@@ -6,6 +6,8 @@ minima, where there are any, since their energy is 0. What it finds where nothin
 circles that slide part.
 
 Accelerated projected gradients (Nesterov 1983), started anew where the gradient says so (O'Donoghue and Candès 2015).
+The largest eigenvalue, from which the length of a step follows, is a lower bound: each step tells whether its own
+Rayleigh quotient is larger, and then they go on from there with shorter ones (backtracking, Beck and Teboulle 2009).
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from deep_contact.physics.contact_solver import (
     BODY_A,
     BODY_B,
     CONTRACT,
+    INVERSE_MASS,
     N_X,
     N_Y,
     NORMAL,
@@ -35,6 +38,12 @@ from deep_contact.physics.contact_solver import (
 
 LOOKS = 25
 """Iterations between two looks at whether the circles rest; and those of the power method."""
+
+SPARE = 1.1
+"""Of an eigenvalue that is bounded from below."""
+
+GOLDEN = 0.6180339887498949
+"""Golden section, whose multiples by squares have no pattern modulo 1."""
 
 
 def at_rest(problem, normal, tangent, *, iterations: int, speed: float) -> tuple[np.ndarray, np.ndarray, float]:
@@ -55,10 +64,10 @@ def relax_cones(rows, friction, v, iterations, speed):
     """`at_rest`, in place on the impulses of the rows and on the velocities v, (n + 4, 4), that have them."""
     impulse, old = rows.impulse, rows.impulse.copy()
     ahead, before, t = v.copy(), v.copy(), 1.0
-    trial, step = impulse.copy(), 1.0 / largest_eigenvalue(rows, friction, ahead)
+    trial, largest = impulse.copy(), largest_eigenvalue(rows, friction, ahead)
     ahead[:, :], rms = v, rms_speed(v)
     for k in range(iterations):
-        along = approach(rows, friction, ahead, step, trial, old)
+        along, square = approach(rows, friction, ahead, 1.0 / largest, trial, old)
         before[:, :] = v
         # From here to the next iteration `impulse` is the change, `old` the impulse itself.
         for i in range(impulse.shape[0]):
@@ -67,6 +76,10 @@ def relax_cones(rows, friction, v, iterations, speed):
         apply_impulses(rows, v, friction)
         following = 0.5 + math.sqrt(0.25 + t * t)
         share, t = (t - 1.0) / following, following
+        energy = energy_of_change(v, ahead)
+        if energy > largest * square > 0.0:
+            # At most the trace, also where the change is nothing but rounding.
+            largest, along = min(SPARE * energy / square, 4.0 * impulse.shape[0]), math.inf
         if along > 0.0:
             share, t = 0.0, 1.0
         for i in range(impulse.shape[0]):
@@ -85,18 +98,21 @@ def relax_cones(rows, friction, v, iterations, speed):
 
 @njit(cache=True, error_model="numpy", fastmath=CONTRACT)
 def approach(rows, friction, v, step, trial, old):
-    """A step down the gradient J v from the trial impulses, in place, cut to the cones; the gradient times the change.
+    """A step down the gradient J v from the trial impulses, in place, cut to the cones.
 
     Steps are scaled by the effective masses, the same for both rows of a contact, which leaves its cone as it is.
+    Returns the gradient times the change from the old impulses, and the square of the step, so scaled.
     """
-    body, data, along = rows.body, rows.data, 0.0
+    body, data, along, square = rows.body, rows.data, 0.0, 0.0
     for i in range(body.shape[0]):
         g_n, g_t = relative_velocity(body, data, v, i)
         scaled = step * data[i, NORMAL_MASS]
         p_n, p_t = nearest_in_cone(trial[i, NORMAL] - scaled * g_n, trial[i, TANGENT] - scaled * g_t, friction)
+        d_n, d_t = p_n - trial[i, NORMAL], p_t - trial[i, TANGENT]
+        square += (d_n * d_n + d_t * d_t) / data[i, NORMAL_MASS]
         trial[i, NORMAL], trial[i, TANGENT] = p_n, p_t
         along += g_n * (p_n - old[i, NORMAL]) + g_t * (p_t - old[i, TANGENT])
-    return along
+    return along, square
 
 
 @njit(cache=True, error_model="numpy")
@@ -111,9 +127,16 @@ def nearest_in_cone(p_n, p_t, friction):
 
 @njit(cache=True, error_model="numpy")
 def largest_eigenvalue(rows, friction, v):
-    """That of J M⁻¹ Jᵀ scaled by the effective masses, by the power method, with a tenth to spare."""
+    """That of J M⁻¹ Jᵀ scaled by the effective masses, by the power method, with a tenth to spare.
+
+    It starts from numbers without a pattern: no symmetry of a scene makes them orthogonal to what is sought.
+    """
     m, largest = rows.body.shape[0], 1.0
-    x, impulse = np.ones((m, 2)), np.empty((m, 2))
+    x, impulse = np.empty((m, 2)), np.empty((m, 2))
+    for i in range(m):
+        for c in range(2):
+            k = float(2 * i + c + 1)
+            x[i, c] = (k * k * GOLDEN) % 1.0 - 0.5
     change = Rows(rows.body, rows.data, impulse)
     for _ in range(LOOKS):
         v[:, : V_S + 1] = 0.0
@@ -127,7 +150,7 @@ def largest_eigenvalue(rows, friction, v):
             x[i, NORMAL], x[i, TANGENT] = g_n, g_t
         largest = math.sqrt(np.sum(x * x * rows.data[:, NORMAL_MASS : NORMAL_MASS + 1]) / square)
         x /= largest
-    return 1.1 * largest
+    return SPARE * largest
 
 
 @njit(cache=True)
@@ -137,6 +160,16 @@ def relative_velocity(body, data, v, i):
     d_x, d_y = v[b, V_X] - v[a, V_X], v[b, V_Y] - v[a, V_Y]
     turn = data[i, ARM_A] * v[a, V_S] + data[i, ARM_B] * v[b, V_S]
     return d_x * n_x + d_y * n_y, d_x * n_y - d_y * n_x + turn
+
+
+@njit(cache=True, error_model="numpy", fastmath=CONTRACT)
+def energy_of_change(v, before):
+    """Twice the kinetic energy of the difference of two velocities of the circles, J."""
+    total = 0.0
+    for a in range(v.shape[0] - 4):
+        x, y, s = v[a, V_X] - before[a, V_X], v[a, V_Y] - before[a, V_Y], v[a, V_S] - before[a, V_S]
+        total += (x * x + y * y + 0.5 * s * s) / v[a, INVERSE_MASS]
+    return total
 
 
 @njit(cache=True, fastmath=CONTRACT)

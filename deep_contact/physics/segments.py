@@ -1,9 +1,9 @@
 """Static segments: lines beside the box, felt from both sides and at their ends (`World.segments`).
 
 A segment is (x_0, y_0, x_1, y_1), m, and the speed of its surface, m/s; the segments of a world are an array (S, 5).
-Where a circle is nearest to an end, the contact is that with a point. Ends that two segments share are no points of
-their own: of those that meet there, the one that the centre lies beside keeps the contact, or else the first (as ghost
-vertices do in chains of Box2D 2.3; without them, a circle that rolls over a joint stumbles).
+Where a circle is nearest to an end, the contact is that with a point. An end that lies on another segment or on a wall
+of the box, or just behind it, is no point of its own: that surface has the contact (`is_hidden`). Ghost vertices do
+this in chains of Box2D 2.3; without them, a circle that rolls over a joint stumbles.
 
 No centre ever crosses a segment: fast circles stop at it (`continuous`), and what sweeps or position correction would
 still push through is held on its side (`hold_beside`).
@@ -29,6 +29,12 @@ _ROUNDING = 1e-9
 """A path that crosses the line this far beyond an end, in lengths of the segment, crosses the segment: at a joint it
 must not slip between two. And how far from 1 the cosine of a normal across the segment may be."""
 
+ON, BEHIND = 1e-4, 0.02
+"""A surface hides an end that stands out of it by at most the first. It hides one that lies behind it, or in a gap
+beyond its own end, by at most the second. Both are in reaches of the circle: such a step is a fiftieth of the slop, and
+in such a gap a circle sinks half of that.
+"""
+
 
 class Segments(NamedTuple):
     """The segments of a world, and a grid that lists, for each of its cells, those within reach."""
@@ -37,14 +43,16 @@ class Segments(NamedTuple):
     start: np.ndarray  # (rows · columns + 1,): `near[start[c]:start[c + 1]]` are within reach of cell c
     near: np.ndarray  # segments, for each cell in their order
     every: np.ndarray  # (S,): all segments
-    joined: np.ndarray  # (2 S,): of end e of segment s, 2 s + e, the next of those that lie on it, in a ring
+    first: np.ndarray  # (2 S + 1,): `hiding[first[e]:first[e + 1]]` may hide end e = 2 s + 0 or 1 of segment s
+    hiding: np.ndarray  # segments, for each end in their order
     grid: tuple  # (x, y) of its corner, m, cells a metre, columns, rows
     reach: float  # m
 
 
 NO_SEGMENTS = Segments(
-    np.zeros((0, 5)), np.zeros(1, np.int64), *(np.zeros(0, np.int64),) * 3, (0.0, 0.0, 1.0, 0, 0), 0.0
-)
+    np.zeros((0, 5)), np.zeros(1, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(1, np.int64),
+    np.zeros(0, np.int64), (0.0, 0.0, 1.0, 0, 0), 0.0,
+)  # fmt: skip
 """Of a world that has none."""
 
 
@@ -76,18 +84,13 @@ def in_grid(line: np.ndarray, reach: float) -> Segments:
     np.cumsum(start, out=start)
     near = np.empty(start[-1], np.int64)
     list_cells(line, beyond, grid, start[:-1].copy(), near)
-    return Segments(line, start, near, np.arange(len(line)), rings(ends), grid, reach)
-
-
-def rings(ends: np.ndarray) -> np.ndarray:
-    """Of each point, (k, 2), the next of those that are equal to it, the first after the last, (k,)."""
-    order = np.lexsort((ends[:, 1], ends[:, 0]))
-    first = np.concatenate([[True], (ends[order[1:]] != ends[order[:-1]]).any(axis=1)])
-    begin, after = np.maximum.accumulate(np.where(first, np.arange(len(ends)), 0)), np.append(first[1:], True)
-    following = np.where(after, begin, np.arange(1, len(ends) + 1))
-    joined = np.empty(len(ends), np.int64)
-    joined[order] = order[following]
-    return joined
+    first = np.zeros(2 * len(line) + 1, np.int64)
+    segments = Segments(line, start, near, np.arange(len(line)), first, np.zeros(0, np.int64), grid, reach)
+    list_hiding(segments, first, segments.hiding)
+    np.cumsum(first, out=first)
+    hiding = np.empty(first[-1], np.int64)
+    list_hiding(segments, first[:-1].copy(), hiding)
+    return segments._replace(hiding=hiding)
 
 
 @njit(cache=True, error_model="numpy")
@@ -116,6 +119,25 @@ def list_cells(line, reach, grid, fill, near):
                 else:
                     near[fill[c]] = s
                     fill[c] += 1
+
+
+@njit(cache=True, error_model="numpy")
+def list_hiding(segments, fill, hiding):
+    """Count the segments that may hide end e in `fill[e + 1]`, in place, where `hiding` is empty; or list them there.
+
+    fill: of a list, where each end's begins.
+    """
+    line, every, within = segments.line, segments.every, 1.5 * BEHIND * segments.reach
+    for end in range(2 * line.shape[0]):
+        s, column = end // 2, 2 * (end % 2)
+        x, y = line[s, column], line[s, column + 1]
+        for k in near_box(segments, x, x, y, y, every):
+            if k != s and segment_gap(line[k], x, y)[0] <= within:
+                if hiding.shape[0] == 0:
+                    fill[end + 1] += 1
+                else:
+                    hiding[fill[end]] = k
+                    fill[end] += 1
 
 
 @njit(cache=True, error_model="numpy")
@@ -225,51 +247,64 @@ def segment_gap(segment, x, y, h_x=0.0, h_y=0.0):
     return distance, d_x / distance, d_y / distance
 
 
-@njit(cache=True)
-def touches(line, joined, s, x, y, reach):
-    """Whether a circle has a contact with segment s: no farther than `reach`, m, and not left to one that it joins.
+@njit(cache=True, error_model="numpy")
+def touches(line, first, hiding, box, s, x, y, reach):
+    """Whether a circle has a contact with segment s: no farther than `reach`, m, and with no end that is hidden.
 
-    line, joined: of `Segments`.
+    line, first, hiding: of `Segments`. box: of the `World`.
     """
     segment = line[s]
     if x < min(segment[0], segment[2]) - reach or x > max(segment[0], segment[2]) + reach:
         return False
     if y < min(segment[1], segment[3]) - reach or y > max(segment[1], segment[3]) + reach:
         return False
-    if not segment_gap(segment, x, y)[0] <= reach:
-        return False
-    part = nearest_part(segment, x, y)
-    if part == BESIDE:
-        return True
+    gap, part = segment_gap(segment, x, y)[0], nearest_part(segment, x, y)
+    if not gap <= reach or part == BESIDE:
+        return gap <= reach
     end = 2 * s + part - START
-    other = joined[end]
-    while other != end:
-        # Another part of that one is at least as near, since this end lies on it.
-        if other < end or nearest_part(line[other // 2], x, y) != START + other % 2:
-            return False
-        other = joined[other]
-    return True
+    return not is_hidden(line, hiding[first[end] : first[end + 1]], box, s, part, gap, x, y, reach)
+
+
+@njit(cache=True, error_model="numpy")
+def is_hidden(line, hiding, box, s, part, gap, x, y, reach):
+    """Whether a wall, or another segment that is at least as near, has the contact in place of an end of segment s.
+
+    hiding: segments that may. gap: of the end from the centre (x, y), m. Of ends that are equally near the first stays.
+    """
+    column = 0 if part == START else 2
+    e_x, e_y = line[s, column], line[s, column + 1]
+    if min(e_x - box[0], e_y - box[1], box[2] - e_x, box[3] - e_y) <= ON * reach:
+        return True
+    for k in hiding:
+        if hides(line[k], e_x, e_y, x, y, reach):
+            other = segment_gap(line[k], x, y)[0]
+            if other < gap or (other == gap and k < s) or nearest_part(line[k], x, y) == BESIDE:
+                return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def hides(segment, e_x, e_y, x, y, reach):
+    """Whether an end (e_x, e_y) lies on a segment, or just behind it as seen from (x, y): see `ON`."""
+    s_x, s_y = segment[2] - segment[0], segment[3] - segment[1]
+    length = math.sqrt(s_x * s_x + s_y * s_y)
+    d_x, d_y = e_x - segment[0], e_y - segment[1]
+    before, along = (s_x * d_y - s_y * d_x) / length, (s_x * d_x + s_y * d_y) / length
+    if s_x * (y - segment[1]) - s_y * (x - segment[0]) < 0.0:
+        before = -before
+    beyond = (BEHIND if nearest_part(segment, x, y) == BESIDE else ON) * reach
+    return -BEHIND * reach <= before <= ON * reach and -beyond <= along <= length + beyond
 
 
 @njit(cache=True)
-def shared_end(line, s, end, k):
-    """The end of segment k that is the given end of another segment s; BESIDE where they do not meet there."""
-    first = 0 if end == START else 2
-    x, y = line[s, first], line[s, first + 1]
-    if k != s and line[k, 0] == x and line[k, 1] == y:
-        return START
-    return END if k != s and line[k, 2] == x and line[k, 3] == y else BESIDE
-
-
-@njit(cache=True)
-def insert_pairs(position, radius, segments, skin, body_a, body_b, m):
+def insert_pairs(position, radius, box, segments, skin, body_a, body_b, m):
     """Insert the circles and segments that touch among m sorted pairs, in place. Returns their number, -1 if full."""
     n, end = position.shape[0], m
-    circles = np.empty(n, np.int64)
+    line, first, hiding, circles = segments.line, segments.first, segments.hiding, np.empty(n, np.int64)
     for i in circles[: circles_beside(segments, position, position, circles)]:
         x, y = position[i, 0], position[i, 1]
         for s in near_box(segments, x, x, y, y, segments.every):
-            if touches(segments.line, segments.joined, s, x, y, NEARLY * (radius[i] + skin)):
+            if touches(line, first, hiding, box, s, x, y, NEARLY * (radius[i] + skin)):
                 if end == body_a.shape[0]:
                     return -1
                 body_a[end], body_b[end] = i, n + 4 + s

@@ -162,8 +162,9 @@ class World:
     the mean radius.
 
     segments: any number of ((x, y), (x, y)), m: static lines beside the box, felt from both sides and at their ends,
-    with the skin of the walls (edge shapes of Box2D). Those that share an end, to the last bit, are one line there: a
-    circle rolls over the joint as over a chain of Box2D. Kept as (x_0, y_0, x_1, y_1) each.
+    with the skin of the walls (edge shapes of Box2D). An end that lies on another one or on a wall, to 1e-4 of the
+    circle's radius, is not felt: a circle rolls over the joint as over a chain of Box2D, and so it does over a gap of a
+    fiftieth of its radius. Kept as (x_0, y_0, x_1, y_1) each.
 
     surface_speeds: of the segments, m/s each, towards their second ends: a belt, or the wall of a drum that turns. The
     segment stays where it is, and friction drags what touches it. () where all surfaces rest.

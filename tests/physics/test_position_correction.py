@@ -57,6 +57,20 @@ def test_eight_at_a_time_compute_the_same_bits(seed, sweeps):
         np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.filterwarnings("ignore:.*nearly coincide")
+@pytest.mark.parametrize("solver", [dc.PGS(), dc.BatchedPGS(threads=1)])
+@pytest.mark.parametrize(("n", "apart"), [(20, 0.0), (50, 0.0), (50, 1e-6), (200, 0.0)])
+def test_circles_in_one_place_fill_a_disc(n, apart, solver):
+    # Whatever their radii; each pair's push once followed the first pair's: 50 circles lay in a line, 44 m × 0 m.
+    rng = np.random.default_rng(n)
+    box = (0.0, 0.0, 60.0, 60.0)
+    state = circles_at(20.0 + apart * rng.normal(size=(n, 2)), radius=rng.uniform(0.3, 1.0, n), box=box, gravity=(0, 0))
+    bodies = dc.simulate(state, steps=200, solver=solver).state.bodies
+    across = 2.0 * np.sqrt((bodies.radius**2).sum() / 0.85)  # of a disc that they cover to 85 %
+    assert (np.ptp(bodies.position, axis=0) > 0.65 * across).all()
+    assert (np.ptp(bodies.position, axis=0) < 1.1 * across).all()
+
+
 def test_the_end_is_the_same():
     state = dc.simulate(dc.lattice_in_box(400, radius=(0.5, 1.0), gap=0.05, seed=1), steps=300).state
     ends = set()

@@ -2,11 +2,16 @@
 
 import numpy as np
 import pytest
+from conftest import circles_at
 from scipy.optimize import nnls
 
 import deep_contact as dc
+from deep_contact import simulation
+from deep_contact.physics import relaxation
+from deep_contact.physics.contact_solver import apply_impulses
 from deep_contact.physics.engine import step_problem
-from deep_contact.physics.relaxation import at_rest
+from deep_contact.physics.relaxation import at_rest, largest_eigenvalue, relative_velocity
+from deep_contact.simulation import _with_a_past, find_contacts
 from deep_contact.studies.no_past import without_past
 from deep_contact.studies.piles import packed_pile, rms_speed
 
@@ -51,6 +56,60 @@ def test_without_friction_it_is_the_non_negative_least_squares_problem(settling)
     free = (v[:n, :2] / np.sqrt(v[:n, 3:])).ravel()
     assert not tangent.any()
     assert np.linalg.norm(system @ normal + free) == pytest.approx(nnls(system, -free)[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("width", [0.6, 0.3, 0.1])
+def test_a_circle_in_a_gap_narrower_than_itself_gets_finite_impulses(width):
+    """Its two normals are opposite, so that a power method from equal numbers sees nothing: 8e194 N·s, 200 m/s.
+
+    Friction holds it: λ_t = m g Δt / 2 on each side, λ_n = λ_t / μ. The next call goes on.
+    """
+    state = circles_at([[width / 2, 5.0]], box=(0, 0, width, 30), friction=0.5)
+    run = dc.simulate(state, steps=60, record=1)
+    assert run.state.contacts.normal_impulse.max() < 1.1 * np.pi * 9.81 * 0.01
+    assert np.abs(run.trajectory.velocities).max() < 0.3
+    assert np.isfinite(dc.simulate(run.state, steps=60).state.bodies.velocity).all()
+
+
+def block(rows, columns, width):
+    """A block of circles in hexagonal order, in a box of some width: the same contacts over and over."""
+    centres = [[0.5 + 1.99 * i + k % 2, 1.0 + 1.73 * k] for k in range(rows) for i in range(columns)]
+    return circles_at(centres, box=(0, 0, width, 99), friction=0.5)
+
+
+@pytest.mark.parametrize("scene", [block(1, 1, 1.0), block(8, 1, 3.0), block(5, 6, 14.0)])
+def test_the_bound_of_the_steps_is_no_less_than_the_largest_eigenvalue(scene):
+    # Of D^½ J M⁻¹ Jᵀ D^½ with D the effective masses along the normals, from the columns of its products.
+    problem = step_problem(find_contacts(scene))
+    rows, v = problem.rows, problem.solver_bodies
+    columns = []
+    for impulse in np.eye(2 * len(rows.body)).reshape(-1, len(rows.body), 2):
+        change = v * [0, 0, 0, 1]
+        apply_impulses(rows._replace(impulse=impulse), change, problem.friction)
+        columns.append([relative_velocity(rows.body, rows.data, change, i) for i in range(len(rows.body))])
+    scaled = np.repeat(rows.data[:, 2], 2)[:, None] * np.reshape(columns, (2 * len(rows.body), -1)).T
+    assert largest_eigenvalue(rows, problem.friction, v.copy()) >= np.linalg.eigvals(scaled).real.max()
+
+
+def test_steps_that_are_too_long_are_made_shorter(settling, monkeypatch):
+    # From a sixth of the bound, as a start orthogonal to what is sought gives it, the same minimum is found.
+    problem, speeds = step_problem(settling), []
+    for share in (1.0, 1.0 / 6.0):
+        rows, v = problem.rows._replace(impulse=np.zeros((len(problem.rows.body), 2))), problem.solver_bodies.copy()
+        largest = share * largest_eigenvalue(rows, problem.friction, v.copy())
+        monkeypatch.setattr(relaxation, "largest_eigenvalue", lambda *_, largest=largest: largest)
+        speeds.append(relaxation.relax_cones.py_func(rows, problem.friction, v, 1000, 0.0))
+    np.testing.assert_allclose(speeds[1], speeds[0], rtol=1e-3)
+
+
+@pytest.mark.parametrize("factor", [np.nan, np.inf, -3.0, 1e30])
+def test_impulses_that_are_no_start_are_not_used(factor, monkeypatch):
+    # Not finite, or with more energy than none: the run begins without.
+    state = find_contacts(without_past(packed_pile(20, seed=1, steps=1000)))
+    assert _with_a_past(state).contacts.have_past
+    found = at_rest(step_problem(state), *np.zeros((2, state.contacts.count)), iterations=500, speed=0.0)[:2]
+    monkeypatch.setattr(simulation, "at_rest", lambda *_, **__: (factor * found[0], factor * found[1], 0.0))
+    assert not _with_a_past(state).contacts.have_past
 
 
 def test_a_pile_at_rest_stays_at_rest_without_its_impulses():

@@ -52,6 +52,16 @@ def test_a_touch_wakes_the_whole_island():
     np.testing.assert_allclose(moved.velocity[:, 0], 0.5, rtol=1e-6)
 
 
+@pytest.mark.parametrize("slope", [0.003, 0.001, 3e-4])
+def test_what_rolls_down_a_gentle_slope_does_not_fall_asleep(slope):
+    # a = ⅔ g sin θ: after half a second it is slower than 0.01 m/s, and Box2D leaves it there. On the way up it turns.
+    for start in (0.0, 0.012):
+        down = (9.81 * np.sin(slope), -9.81 * np.cos(slope))
+        state = circles_at([[100.0, 1.01]], velocity=[-start, 0.0], spin=start, gravity=down, box=(0, 0, 200, 30))
+        run = dc.simulate(state, steps=500, solver=dc.PGS(), sleep=True)
+        np.testing.assert_allclose(run.state.bodies.velocity[0, 0], 2 / 3 * down[0] * 5.0 - start, rtol=1e-2)
+
+
 def test_nothing_falls_asleep_in_flight():
     # At the top of its flight a circle is slow for 2 v / g = 2 ms only; this one is back on the floor after 2.04 s.
     run = dc.simulate(circles_at([[15.0, 5.0]], velocity=[0.0, 8.0]), steps=300, sleep=True)
@@ -62,7 +72,7 @@ def still_after_a_step(scene, still):
     """For how long the only circle of a scene has been still 0.01 s later; infinite if it has fallen asleep."""
     scene = scene.replace(contacts=contacts_of(scene))
     sleep = make_sleep_memory(1, 4)
-    sleep.still[:] = still
+    sleep.still[:], sleep.place[:] = still, scene.bodies.position
     wake_and_put_to_sleep(with_rare(step_input(scene, dc.PGS())), scene.contacts, sleep)
     return sleep.still[0]
 
