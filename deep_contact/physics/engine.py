@@ -333,7 +333,8 @@ def solve(
     state = state.replace(contacts=state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start))
     friction = None if leaves_tangents_out(state, solver) else state.world.friction
     rows, solver_bodies, *_ = started(problem or step_problem(state), state.contacts, friction)
-    solver_bodies, theta = solver_bodies.copy(), np.empty(solver.sweeps)
+    # Relaxation scales effective masses in place.
+    rows, solver_bodies, theta = rows._replace(data=rows.data.copy()), solver_bodies.copy(), np.empty(solver.sweeps)
     sweeps = solve_velocities(rows, friction, settings, solver_bodies, theta)
     impulse = rows.impulse
     return ContactSolution(

@@ -10,8 +10,8 @@ from deep_contact import simulation
 from deep_contact.physics import relaxation
 from deep_contact.physics.contact_solver import apply_impulses
 from deep_contact.physics.engine import step_problem
+from deep_contact.physics.load import find_contacts, with_a_past
 from deep_contact.physics.relaxation import at_rest, largest_eigenvalue, relative_velocity
-from deep_contact.simulation import _with_a_past, find_contacts
 from deep_contact.studies.no_past import without_past
 from deep_contact.studies.piles import packed_pile, rms_speed
 
@@ -106,10 +106,10 @@ def test_steps_that_are_too_long_are_made_shorter(settling, monkeypatch):
 def test_impulses_that_are_no_start_are_not_used(factor, monkeypatch):
     # Not finite, or with more energy than none: the run begins without.
     state = find_contacts(without_past(packed_pile(20, seed=1, steps=1000)))
-    assert _with_a_past(state).contacts.have_past
+    assert with_a_past(state).contacts.have_past
     found = at_rest(step_problem(state), *np.zeros((2, state.contacts.count)), iterations=500, speed=0.0)[:2]
     monkeypatch.setattr(simulation, "at_rest", lambda *_, **__: (factor * found[0], factor * found[1], 0.0))
-    assert not _with_a_past(state).contacts.have_past
+    assert not with_a_past(state).contacts.have_past
 
 
 def test_a_pile_at_rest_stays_at_rest_without_its_impulses():

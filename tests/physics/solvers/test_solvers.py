@@ -127,3 +127,12 @@ def test_what_is_not_finite_any_more_is_called_diverged(falling_states):
     huge = np.full(state.contacts.count, 1e308)
     for method in (dc.PGS, dc.NNCG, dc.NesterovPGS):
         assert engine.solve(state, method(), huge, huge).record.status == "diverged"
+
+
+@pytest.mark.parametrize("method", METHODS.values())
+def test_a_problem_that_is_solved_twice_stays_as_it_is(method, falling_states):
+    """`engine.solve` takes a problem that is at hand; over-relaxation scales effective masses in place."""
+    state = falling_states[-1]
+    problem, zero = engine.step_problem(state), np.zeros(state.contacts.count)
+    first, again = (engine.solve(state, method(sweeps=5), zero, zero, problem) for _ in range(2))
+    np.testing.assert_array_equal(first.velocities, again.velocities)
