@@ -6,11 +6,10 @@ from conftest import circles_at
 from scipy.optimize import nnls
 
 import deep_contact as dc
-from deep_contact import simulation
-from deep_contact.physics import relaxation
+from deep_contact.physics import load, relaxation
 from deep_contact.physics.contact_solver import apply_impulses
 from deep_contact.physics.engine import step_problem
-from deep_contact.physics.load import find_contacts, with_a_past
+from deep_contact.physics.load import with_a_past
 from deep_contact.physics.relaxation import at_rest, largest_eigenvalue, relative_velocity
 from deep_contact.studies.no_past import without_past
 from deep_contact.studies.piles import packed_pile, rms_speed
@@ -80,7 +79,7 @@ def block(rows, columns, width):
 @pytest.mark.parametrize("scene", [block(1, 1, 1.0), block(8, 1, 3.0), block(5, 6, 14.0)])
 def test_the_bound_of_the_steps_is_no_less_than_the_largest_eigenvalue(scene):
     # Of D^½ J M⁻¹ Jᵀ D^½ with D the effective masses along the normals, from the columns of its products.
-    problem = step_problem(find_contacts(scene))
+    problem = step_problem(dc.find_contacts(scene))
     rows, v = problem.rows, problem.solver_bodies
     columns = []
     for impulse in np.eye(2 * len(rows.body)).reshape(-1, len(rows.body), 2):
@@ -105,10 +104,10 @@ def test_steps_that_are_too_long_are_made_shorter(settling, monkeypatch):
 @pytest.mark.parametrize("factor", [np.nan, np.inf, -3.0, 1e30])
 def test_impulses_that_are_no_start_are_not_used(factor, monkeypatch):
     # Not finite, or with more energy than none: the run begins without.
-    state = find_contacts(without_past(packed_pile(20, seed=1, steps=1000)))
+    state = dc.find_contacts(without_past(packed_pile(20, seed=1, steps=1000)))
     assert with_a_past(state).contacts.have_past
     found = at_rest(step_problem(state), *np.zeros((2, state.contacts.count)), iterations=500, speed=0.0)[:2]
-    monkeypatch.setattr(simulation, "at_rest", lambda *_, **__: (factor * found[0], factor * found[1], 0.0))
+    monkeypatch.setattr(load, "at_rest", lambda *_, **__: (factor * found[0], factor * found[1], 0.0))
     assert not with_a_past(state).contacts.have_past
 
 
