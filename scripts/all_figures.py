@@ -48,11 +48,9 @@ def main(arguments=None, folder=HERE):
         wanted = [stem(path) for path in chosen.values()] if args.only else staleness.STUDIES.keys() | stale.keys()
         names = [name for name in stale if name in wanted]
         work = []
-        for name in names:  # studies take no option of figures but the file's name
-            (script, *options), path = staleness.commands()[name], REFERENCE / f"{name}.json"
-            taken = ["--out", path] if name in staleness.STUDIES else passed_on
-            taken = [*taken, "--replot"] if stale[name] == staleness.DRAWN else taken
-            work.append((name, [script, *taken, *options], path))
+        for name in names:
+            again = ["--replot"] * (stale[name] == staleness.DRAWN)
+            work.append((name, [*staleness.commands()[name], *passed_on, *again], REFERENCE / f"{name}.json"))
         work.append(("tables", [HERE.parent / "docs" / "tables.py"], None))
     done, status = [], 0
     for number, (name, command, stored) in enumerate(work, start=1):

@@ -1,21 +1,18 @@
-"""python scripts/benchmark.py NAME [--out FILE] [--quick] …: timings, in turns, of which the least counts.
+"""python scripts/benchmark.py NAME [--quick] [--set NAME=VALUE] …: timings, in turns, of which the least counts.
 
-NAME   what is timed
-engine ours beside Box2D 2.3, pymunk and Box2D v3 on the same piles: the cost of a sweep, of a step, and the overhead
-step   whole steps of ours by PGS and by colours, on one thread and on two; memory; many small piles
+engine   ours beside Box2D 2.3, pymunk and Box2D v3 on the same piles: the cost of a sweep, of a step, and the overhead
+step     whole steps of ours by PGS and by colours, on one thread and on two; memory; many small piles
 
-Nothing else should run meanwhile. The result is data/reference's benchmark_NAME.json.
+Nothing else should run meanwhile. The files are benchmark_NAME.json and its picture, in figures/ or in --out.
 """
 
 from __future__ import annotations
 
-import argparse
-import time
+import sys
 from collections.abc import Iterator
 from functools import partial
 from importlib import metadata
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 
@@ -23,7 +20,7 @@ import deep_contact as dc
 from deep_contact import peers
 from deep_contact.parallel import cores
 from deep_contact.physics.solvers import PGS, BatchedPGS
-from deep_contact.reporting import results
+from deep_contact.reporting import Claim, Figure, figures
 from deep_contact.state import State
 from deep_contact.studies import piles, timing
 
@@ -142,31 +139,37 @@ def costs_of_engines(state: State, steps: int, repeats: int) -> dict[str, dict]:
     return {name: costs(seconds[name], contacts[name], steps) for name in ENGINES}
 
 
-def engine(args) -> dict:
+def engine(options, seed, jobs, progress):
     """Ours and the peers on settled and falling piles."""
     cases, names = [], ("sweep_ns", "overhead_us", "step_us")
-    for n_bodies, kind in product(args.sizes, ("settled", "falling")):
+    for n_bodies, kind in progress([*product(options["sizes"], ("settled", "falling"))], text="piles"):
         # Long enough that the fixed cost of one `simulate` does not count; what falls has landed after a while.
-        steps = int(np.clip(300_000 // n_bodies, 10, 10 if args.quick else 200 if kind == "settled" else 30))
-        state = made_pile(kind, n_bodies, args.seed).replace(contacts=None, solver=None, solved=False)
-        measured = costs_of_engines(state, steps, args.repeats)
+        steps = int(np.clip(300_000 // n_bodies, 10, options["steps"][kind]))
+        state = made_pile(kind, n_bodies, seed).replace(contacts=None, solver=None, solved=False)
+        measured = costs_of_engines(state, steps, options["repeats"])
         ratios = {peer: {name: measured[peer][name] / measured["ours"][name] for name in names} for peer in PEERS}
         cases.append({"n_bodies": n_bodies, "kind": kind, "engines": measured, "ratios": ratios})
-        for name, cost in measured.items():
-            say(f"{n_bodies} {kind}, {name}", {key: f"{cost[key]:.4g}" for key in names})
-    return {"cases": cases}
+    return {"cases": cases, "versions": {name: metadata.version(one.package) for name, one in peers.ENGINES.items()}}
 
 
-def claims(cases: list[dict]) -> Iterator[results.Claim]:
+def engine_table(data):
+    """The costs of every engine on every pile."""
+    names = ["contacts", "sweep_ns", "overhead_us", "step_us"]
+    rows = [[case["n_bodies"], case["kind"], engine, *(cost[name] for name in names)]
+            for case in data["cases"] for engine, cost in case["engines"].items()]  # fmt: skip
+    return [["circles", "pile", "engine", *names], *rows]
+
+
+def claims(data: dict) -> Iterator[Claim]:
     """The goals of the engine, by its worst measured ratios."""
     for text, (cost, names, smallest, factor) in GOALS.items():
-        large = [case for case in cases if case["n_bodies"] >= smallest]
+        large = [case for case in data["cases"] if case["n_bodies"] >= smallest]
         if met := {
             f"{name}, {case['kind']}, {case['n_bodies']}": case["ratios"][name][cost]
             for case, name in product(large, names)
         }:
             worst = min(met, key=met.get)
-            yield results.Claim(text, None, bool(met[worst] >= factor), {"worst case": worst, "ratio": met[worst]})
+            yield Claim(text, None, bool(met[worst] >= factor), {"worst case": worst, "ratio": met[worst]})
 
 
 # ---- whole steps ----
@@ -185,22 +188,26 @@ dc.simulate(packed_pile({n_bodies}, steps=0), steps=5, solver=dc.PGS(sweeps=10, 
 """What a process does whose largest memory is measured."""
 
 
-def step(args) -> dict:
+def step(options, seed, jobs, progress):
     """Microseconds of a step in a run, memory of large runs, and many piles of 100 in one call."""
-    runs = []
-    for n_bodies in args.sizes:
+    runs, repeats = [], options["repeats"]
+    for n_bodies in progress(options["sizes"], text="sizes"):
         steps = max(5, min(200, 200_000 // n_bodies))
         for kind in ("packed",) if n_bodies >= LARGE else ("settled", "falling"):
-            state = dc.simulate(made_pile(kind, n_bodies, args.seed), steps=WARM_UP, solver=fixed_sweeps(FEW)).state
+            state = dc.simulate(made_pile(kind, n_bodies, seed), steps=WARM_UP, solver=fixed_sweeps(FEW)).state
             calls = {name: partial(dc.simulate, state, steps=steps, solver=solver) for name, solver in RUNS.items()}
-            least = timing.interleaved(calls, repeats=max(2, min(args.repeats, 3_000_000 // n_bodies)))
+            least = timing.interleaved(calls, repeats=max(2, min(repeats, 3_000_000 // n_bodies)))
             us = {name: 1e6 * seconds / steps for name, seconds in least.items()}
             runs.append({"n_bodies": n_bodies, "kind": kind, "us": us})
-            say(f"{n_bodies} {kind}", {name: f"{one:,.1f} µs" for name, one in us.items()})
-    memory = {str(n): timing.fresh(MEMORY.format(n_bodies=n))["memory_kib"] for n in args.sizes if n >= LARGE}
+    memory = {str(n): timing.fresh(MEMORY.format(n_bodies=n))["memory_kib"] for n in options["sizes"] if n >= LARGE}
     memory = {n: 1.024e-3 * kib for n, kib in memory.items() if kib}
-    many = many_piles(args.seed, min(args.repeats, 5), 20 if args.quick else 600)
-    return {"runs": runs, "memory_mb": memory, "many": many}
+    return {"runs": runs, "memory_mb": memory, "many": many_piles(seed, min(repeats, 5), options["steps"])}
+
+
+def step_table(data):
+    """Microseconds of a step of every method on every pile."""
+    rows = [[run["n_bodies"], run["kind"], *run["us"].values()] for run in data["runs"]]
+    return [["circles", "pile", *(f"{name}, µs" for name in RUNS)], *rows]
 
 
 def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
@@ -211,52 +218,24 @@ def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
     calls = {"bare": bare, "one core": partial(many, threads=1), "all cores": many}
     done = {"bare": 20 * steps, "one core": count * steps, "all cores": count * steps}
     us = {name: 1e6 * seconds / done[name] for name, seconds in timing.interleaved(calls, repeats=repeats).items()}
-    say("many piles of 100", us)
     return {"cores": cores(), "us": us}
 
 
-BENCHMARKS = {
-    "engine": (engine, [100, 1000, 10_000], 5),
-    "step": (step, [100, 1000, 3000, 10_000, 100_000, 1_000_000], 10),
-}
-"""Name -> function, sizes and repeats; of the sizes a quick run has the first two."""
-
-TITLES = {"engine": "Cost of a sweep and of a step, against other engines", "step": "Time of a step in a run"}
-
-
-def say(name: str, values: dict) -> None:
-    """Print a row."""
-    print(f"{name}: {', '.join(f'{key} {value}' for key, value in values.items())}", flush=True)
-
-
-def main(arguments=None) -> None:
-    """Run a benchmark and write its file."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", choices=BENCHMARKS, help="what is timed")
-    parser.add_argument("--out", type=Path, help="the file (build/results/benchmark_NAME.json)")
-    parser.add_argument("--sizes", type=int, nargs="*", help="numbers of circles")
-    parser.add_argument("--repeats", type=int, help="timed runs")
-    parser.add_argument("--seed", type=int, default=0, help="of the piles")
-    parser.add_argument("--quick", action="store_true", help="smaller piles, fewer steps")
-    args = parser.parse_args(arguments)
-    run, sizes, repeats = BENCHMARKS[args.name]
-    args.sizes = args.sizes if args.sizes is not None else sizes[:2] if args.quick else sizes
-    args.repeats = repeats if args.repeats is None else args.repeats
-    if min([*args.sizes, args.repeats]) < 1:
-        parser.error(f"expected sizes and repeats of at least 1, got {args.sizes} and {args.repeats}")
-    args.out = args.out or Path(f"build/results/benchmark_{args.name}.json")
-    begun = time.perf_counter()
-    data = run(args)
-    options = {name: getattr(args, name) for name in ("sizes", "repeats", "quick")}
-    options |= {"sweeps": [FEW, MANY], "dt": TIME_STEP, "position_sweeps": POSITION_SWEEPS}
-    if args.name == "engine":
-        options["peers"] = {name: metadata.version(adapter.package) for name, adapter in peers.ENGINES.items()}
-    made = {"id": f"B.{1 + list(TITLES).index(args.name)}", "title": TITLES[args.name], "options": options}
-    made |= {"provenance": results.provenance(seed=args.seed, wall_s=time.perf_counter() - begun)}
-    made |= {"claims": list(claims(data.get("cases", []))), "data": data}
-    results.write_results(args.out, made)
-    print(f"written: {args.out}")
-
+FIGURES = {
+    "engine": Figure(
+        "B.1", "Cost of a sweep and of a step, against other engines", engine, engine_table, claims=claims,
+        options={"sizes": [100, 1000, 10_000], "repeats": 5, "steps": {"settled": 200, "falling": 30}},
+        quick={"sizes": [100, 1000], "steps": {"settled": 10, "falling": 10}}, file="benchmark_engine",
+    ),
+    "step": Figure(
+        "B.2", "Time of a step in a run", step, step_table,
+        options={"sizes": [100, 1000, 3000, 10_000, 100_000, 1_000_000], "repeats": 10, "steps": 600},
+        quick={"sizes": [100, 1000], "steps": 20}, file="benchmark_step",
+    ),
+}  # fmt: skip
+"""Name -> what is timed. The steps of "step" are those of many small piles."""
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:2] and sys.argv[1] in FIGURES:
+        raise SystemExit(figures.main(FIGURES[sys.argv[1]], sys.argv[2:]))
+    raise SystemExit(__doc__)

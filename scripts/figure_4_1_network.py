@@ -1,9 +1,23 @@
 """python scripts/figure_4_1_network.py: a network of three layers, with the numbers that go through it."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import chapter_4 as worked
+
+
+def forward(x: np.ndarray, layers: Sequence[tuple]) -> list[np.ndarray]:
+    """The values of every layer of a network, the input first; ReLU after all layers but the last (section 4.2.5).
+
+    layers: (weights (inputs, outputs), bias (outputs,)) of each.
+    """
+    values = [np.asarray(x, dtype=np.float64)]
+    for number, (weights, bias) in enumerate(layers, start=1):
+        z = values[-1] @ weights + bias
+        values.append(z if number == len(layers) else worked.relu(z))
+    return values
 
 
 def compute(options, seed, jobs, progress):
@@ -13,7 +27,7 @@ def compute(options, seed, jobs, progress):
     for (weights, bias), activation in zip(layers, ("relu", "linear")):
         by_keras = worked.by_keras("Dense", bias.size, x=by_keras, weights=(weights, bias), activation=activation)
     return {
-        "values": worked.forward(options["input"], layers),
+        "values": forward(options["input"], layers),
         "weights": [weights for weights, _ in layers],
         "Keras": by_keras,
         "parameters": sum(weights.size + bias.size for weights, bias in layers),

@@ -6,6 +6,35 @@ from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import chapter_4 as worked
 
 
+def window_products(image: np.ndarray, kernel: np.ndarray, row: int, column: int) -> np.ndarray:
+    """The products that Eq 4.1 sums at one place, K_ij · I_{x+i−1, y+j−1}: the shape of the kernel.
+
+    image: (n_y, n_x, ...); kernel: (k_y, k_x, ...) with the same further axes (section 4.2.2). row, column: of the
+    image's node under the kernel's first node, from 0. Raises ValueError unless the kernel lies within the image.
+    """
+    k_y, k_x = kernel.shape[:2]
+    under = image[row : row + k_y, column : column + k_x]
+    if row < 0 or column < 0 or under.shape != kernel.shape:
+        within = f"one that lies within the image {image.shape} at ({row}, {column})"
+        raise ValueError(f"kernel: expected {within}, got {kernel.shape}")
+    return kernel * under
+
+
+def correlate(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
+    """Eq 4.1 at every place where the kernel is within the image: the thesis's "convolution" I * K.
+
+    image: (n_y, n_x) or (n_y, n_x, d); kernel: (k_y, k_x) or (k_y, k_x, d). Returns (o_y, o_x).
+    """
+    rows, columns = (range(n - k + 1) for n, k in zip(image.shape, kernel.shape[:2]))
+    return np.array([[window_products(image, kernel, i, j).sum() for j in columns] for i in rows])
+
+
+def keras_convolution(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1) -> np.ndarray:
+    """`correlate` by Keras's `Conv2D`: (o_y, o_x, f). image: (n_y, n_x, d); kernel: (k_y, k_x, d, f)."""
+    arguments = kernel.shape[3], kernel.shape[:2]
+    return worked.by_keras("Conv2D", *arguments, x=image, weights=[kernel], strides=stride, use_bias=False)
+
+
 def compute(options, seed, jobs, progress):
     """Eq 4.1 and 4.2 by hand, by SciPy and by Keras; the thesis's example of sizes; several strides."""
     from scipy import signal
@@ -13,26 +42,26 @@ def compute(options, seed, jobs, progress):
     image, kernel = np.array(options["image"], dtype=float), np.array(options["kernel"], dtype=float)
     row, column = options["shown"]
     results = {
-        "Eq 4.1": worked.correlate(image, kernel),
-        "Keras Conv2D": worked.keras_convolution(image[..., None], kernel[..., None, None])[..., 0],
+        "Eq 4.1": correlate(image, kernel),
+        "Keras Conv2D": keras_convolution(image[..., None], kernel[..., None, None])[..., 0],
         "SciPy correlate2d": signal.correlate2d(image, kernel, mode="valid"),
         "SciPy convolve2d": signal.convolve2d(image, kernel, mode="valid"),
-        "Eq 4.1, flipped kernel": worked.correlate(image, kernel[::-1, ::-1]),
+        "Eq 4.1, flipped kernel": correlate(image, kernel[::-1, ::-1]),
     }
     rng = np.random.default_rng(seed)
     deep_image, deep_kernel = rng.normal(size=(32, 32, 3)), rng.normal(size=(3, 3, 3, 4))
-    ours = np.stack([worked.correlate(deep_image, deep_kernel[..., f]) for f in range(4)], axis=-1)
-    theirs = worked.keras_convolution(deep_image, deep_kernel)
+    ours = np.stack([correlate(deep_image, deep_kernel[..., f]) for f in range(4)], axis=-1)
+    theirs = keras_convolution(deep_image, deep_kernel)
     example = {"one kernel": list(ours[..., :1].shape), "four kernels": list(theirs.shape)}
     sizes = []
     for n, k, s in options["sizes"]:
-        by_keras = worked.keras_convolution(np.zeros((n, n, 1)), np.zeros((k, k, 1, 1)), stride=s)
+        by_keras = keras_convolution(np.zeros((n, n, 1)), np.zeros((k, k, 1, 1)), stride=s)
         sizes.append({"I": n, "K": k, "s": s, "Eq 4.2": (n - k) / s + 1, "Keras": by_keras.shape[0]})
     return {
         "image": image,
         "kernel": kernel,
         "shown": [row, column],
-        "products": worked.window_products(image, kernel, row, column) + 0.0,  # no −0
+        "products": window_products(image, kernel, row, column) + 0.0,  # no −0
         "results": results,
         "example of section 4.2.2": example | {"largest difference to Keras": float(np.abs(ours - theirs).max())},
         "sizes": sizes,

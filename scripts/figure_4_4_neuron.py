@@ -1,10 +1,38 @@
 """python scripts/figure_4_4_neuron.py: a neuron worked through, and ReLU beside other activation functions."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from deep_contact import parallel
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import chapter_4 as worked
+
+ACTIVATIONS: dict[str, tuple[Callable, Callable]] = {
+    "ReLU": (worked.relu, lambda x: np.where(x > 0, 1.0, 0.0)),
+    "sigmoid": (lambda x: 1 / (1 + np.exp(-x)), lambda x: np.exp(-x) / (1 + np.exp(-x)) ** 2),
+    "tanh": (np.tanh, lambda x: 1 - np.tanh(x) ** 2),
+}
+"""Name -> (function, derivative)."""
+
+
+def gradient_ratio(activation: str, *, depth: int, width: int, gain: float, seed: int) -> float:
+    """Size of a gradient at the input of a deep network over its size at the output.
+
+    The network has `depth` layers of `width` neurons with normal weights of standard deviation gain · √(2 / width): at
+    gain 1 He's. A random input goes forward, then a random gradient goes back from the last layer.
+    """
+    rng = np.random.default_rng(seed)
+    function, derivative = ACTIVATIONS[activation]
+    weights = rng.normal(0.0, gain * np.sqrt(2 / width), (depth, width, width))
+    x, sums = rng.normal(size=width), []
+    for w in weights:
+        sums.append(x @ w)
+        x = function(sums[-1])
+    last = gradient = rng.normal(size=width)
+    for w, z in zip(weights[::-1], sums[::-1]):
+        gradient = w @ (gradient * derivative(z))
+    return float(np.linalg.norm(gradient) / np.linalg.norm(last))
 
 
 def compute(options, seed, jobs, progress):
@@ -16,16 +44,16 @@ def compute(options, seed, jobs, progress):
     size = {"depth": options["depth"], "width": options["width"]}
     ratios = {
         name: {
-            f"{gain:g}": float(np.median([worked.gradient_ratio(name, gain=gain, seed=s, **size) for s in seeds]))
+            f"{gain:g}": float(np.median([gradient_ratio(name, gain=gain, seed=s, **size) for s in seeds]))
             for gain in options["gains"]
         }
-        for name in worked.ACTIVATIONS
+        for name in ACTIVATIONS
     }
     return {
         **{"x": x, "w": w, "bias": bias, "sum": total, "output": float(worked.relu(total))},
         "line": line,
-        "functions": {name: f(line) for name, (f, _) in worked.ACTIVATIONS.items()},
-        "derivatives": {name: df(line) for name, (_, df) in worked.ACTIVATIONS.items()},
+        "functions": {name: f(line) for name, (f, _) in ACTIVATIONS.items()},
+        "derivatives": {name: df(line) for name, (_, df) in ACTIVATIONS.items()},
         "gradient ratio, by gain": ratios,
         **size,
     }

@@ -6,6 +6,15 @@ from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import chapter_4 as worked
 
 
+def max_pool(image: np.ndarray) -> np.ndarray:
+    """The largest value of each window of 2 × 2 adjacent nodes (section 4.2.4); (n_y, n_x, ...).
+
+    Incomplete windows at the far edges count, as with Keras's border mode "same" (Table 5.2): 61 nodes -> 31.
+    """
+    rows, columns = (range(0, n, 2) for n in image.shape[:2])
+    return np.array([[image[i : i + 2, j : j + 2].max(axis=(0, 1)) for j in columns] for i in rows])
+
+
 def compute(options, seed, jobs, progress):
     """The largest values by hand and by Keras; the sizes in the thesis's network; what pooling saves in weights."""
     image = np.array(options["image"], dtype=float)
@@ -16,9 +25,9 @@ def compute(options, seed, jobs, progress):
     outputs = options["nodes"] ** 2 * 2
     return {
         "image": image,
-        "pooled": worked.max_pool(image),
+        "pooled": max_pool(image),
         "Keras": worked.by_keras("MaxPooling2D", 2, x=image[..., None], padding="same")[..., 0],
-        "difference on a whole image": float(np.abs(worked.max_pool(whole) - by_keras).max()),
+        "difference on a whole image": float(np.abs(max_pool(whole) - by_keras).max()),
         "sizes": sizes,
         "weights of the last layer": {
             "with pooling": sizes[-1] ** 2 * options["channels"] * outputs,

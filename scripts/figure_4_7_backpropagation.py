@@ -3,7 +3,6 @@
 import numpy as np
 
 from deep_contact.reporting import Claim, Figure, figures, plotting
-from deep_contact.studies import chapter_4 as worked
 
 ROUNDING = 1e-12
 """Largest relative difference that counts as none: of sums of a few products in float64."""
@@ -20,6 +19,43 @@ CLAIMS = {
 """What is compared -> where the thesis says it, and what."""
 
 
+def backpropagate(x: np.ndarray, w_hidden: np.ndarray, w_output: np.ndarray, target: float) -> dict:
+    """Eq 4.11-4.17 for inputs x (I,), weights w_hidden (I, J) and w_output (J,), and the true output `target`, d.
+
+    The thesis's example has one output, and all neurons are linear. Returns "v": hidden values (J,), Eq 4.16; "y":
+    output, "e": error d − y, "loss": e², all Eq 4.11; "chain": factors of Eq 4.12 and 4.15 by name; "output": ∂L/∂w_j
+    of the output's weights (J,), Eq 4.13; "hidden": ∂L/∂w_ij (I, J), Eq 4.17.
+    """
+    v = x @ w_hidden
+    y = float(w_output @ v)
+    e = float(target - y)
+    of_hidden = np.repeat(x[:, None], w_output.size, axis=1)  # of v_j by w_ij; the others are zero
+    chain = {"∂L/∂e": np.array(2 * e), "∂e/∂y": np.array(-1.0), "∂y/∂v": w_output, "∂y/∂w": v, "∂v/∂w": of_hidden}
+    values = {"v": v, "y": y, "e": e, "loss": e**2, "chain": chain}
+    return values | {"output": -2 * v * e, "hidden": -2 * e * np.outer(x, w_output)}
+
+
+def automatic_gradients(x, w_hidden, w_output, target) -> dict[str, np.ndarray]:
+    """The gradients of the same network by automatic differentiation of L.
+
+    Returns "output" (J,), "hidden" (I, J), and the factors of `backpropagate`'s chain by their names.
+    """
+    from deep_contact.cnn.backend import tensorflow as tf
+
+    x, w_h, w_o, d = (tf.constant(value, tf.float64) for value in (x, w_hidden, w_output, target))
+    with tf.GradientTape(persistent=True) as tape:
+        tape.watch([w_h, w_o])
+        v = tf.linalg.matvec(w_h, x, transpose_a=True)
+        y = tf.reduce_sum(w_o * v)
+        e = d - y
+        loss = e**2
+        total = tf.reduce_sum(v)
+    pairs = {"output": (loss, w_o), "hidden": (loss, w_h), "∂L/∂e": (loss, e), "∂e/∂y": (e, y)}
+    # w_ij acts on v_j alone, so the derivative of the sum of v is that of v_j.
+    pairs |= {"∂y/∂v": (y, v), "∂y/∂w": (y, w_o), "∂v/∂w": (total, w_h)}
+    return {name: tape.gradient(*pair).numpy() for name, pair in pairs.items()}
+
+
 def compute(options, seed, jobs, progress):
     """One forward and one backward pass by the thesis's equations and automatically, and one update of the weights.
 
@@ -27,8 +63,8 @@ def compute(options, seed, jobs, progress):
     """
     x, w_h, w_o = (np.array(options[name]) for name in ("x", "hidden weights", "output weights"))
     target, rate = options["target"], options["rate"]
-    values = worked.backpropagate(x, w_h, w_o, target)
-    right = worked.automatic_gradients(x, w_h, w_o, target)
+    values = backpropagate(x, w_h, w_o, target)
+    right = automatic_gradients(x, w_h, w_o, target)
     chain, e = values["chain"], values["e"]
     factors = [right[name] for name in chain]
     common = chain["∂L/∂e"] * chain["∂e/∂y"]
@@ -42,7 +78,7 @@ def compute(options, seed, jobs, progress):
         "Eq 4.18": ([2 * rate * e * np.outer(x, w_o)], [step_h]),
         "late": ([2 * rate * e * np.outer(x, w_o + step_o)], [step_h]),
     }
-    stepped = worked.backpropagate(x, w_h + step_h, w_o + step_o, target)
+    stepped = backpropagate(x, w_h + step_h, w_o + step_o, target)
     return {
         **{name: options[name] for name in ("x", "hidden weights", "output weights", "target")},
         **{name: values[name] for name in ("v", "y", "e")},

@@ -3,16 +3,69 @@
 The experiment that the thesis announces after Figure 5.9 (section 5.4) and does not print.
 """
 
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from time import process_time
+
 import numpy as np
 
 from deep_contact import parallel
+from deep_contact.cnn.images import ImageSpec
 from deep_contact.cnn.model_file import ModelFileError
+from deep_contact.physics.engine import solve
+from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import Claim, Figure, figures, plotting
-from deep_contact.studies import chapter_5, piles, starts, verdicts
-from deep_contact.studies.chapter_5 import STAGES
+from deep_contact.state import State
+from deep_contact.studies import chapter_5, piles, starts, timing, verdicts
+from deep_contact.studies.learned_starts import stages_of
+from deep_contact.studies.starts import THRESHOLD, sweeps_to
+from deep_contact.warm_start import WarmStart
 
 TITLE = "Does a network's start save time to θ < 6e-5 N·s?"
 COLOURS = {"splat": plotting.SKY, "network": plotting.PURPLE, "gather": plotting.ORANGE, "solve": plotting.GREY}
+
+
+STAGES = ("splat", "network", "gather", "solve")
+"""Stages of a step's contact solution: particles to image, image to image, image to contacts, sweeps."""
+
+
+CLOCK = {"reduce": np.median, "clock": process_time}
+"""Processor time of this process, so that what else runs is not counted; its networks run on one thread."""
+
+
+def time_to_threshold(
+    states: Sequence[State], starts: Mapping[str, WarmStart], *, most: int, repeats: int, progress: Callable
+) -> dict[str, dict]:
+    """Sweeps and seconds of the processor from each start to θ < `THRESHOLD`, on the same states.
+
+    most: sweeps after which a start is given up. repeats: interleaved runs of every timing; their median counts.
+    Returns {name: {"sweeps": one a state, all of them where given up, "missed": states given up, "seconds": {stage: one
+    a state}}}; a start has the stages that it needs.
+    """
+    solver = PGS(sweeps=most, tolerance=THRESHOLD)
+    times = {name: {"sweeps": [], "missed": 0, "seconds": {}} for name in starts}
+    for state in progress(states, total=len(states), text="states"):
+        calls = {}
+        for name, start in starts.items():
+            impulses = start(state, solver)
+            theta = solve(state, solver, *impulses).record.theta
+            times[name]["sweeps"].append(sweeps_to(theta))
+            times[name]["missed"] += int(theta[-1] > THRESHOLD)
+            counted = partial(solve, state, PGS(sweeps=sweeps_to(theta), tolerance=None), *impulses)
+            calls |= {(name, stage): call for stage, call in (stages_of(start, state) | {"solve": counted}).items()}
+        for (name, stage), seconds in timing.interleaved(calls, repeats=repeats, **CLOCK).items():
+            times[name]["seconds"].setdefault(stage, []).append(float(seconds))
+    return times
+
+
+def time_by_tree(state: State, *, repeats: int) -> float:
+    """Median seconds of the splat of the bodies by k-d tree (the thesis's Algorithm 2, d = h = 0.5 m)."""
+    from deep_contact.sph.thesis import splat_by_tree
+
+    spec, bodies = ImageSpec(), state.bodies
+    values = np.column_stack([bodies.mass, bodies.velocity, bodies.spin])
+    splat = partial(splat_by_tree, spec.grid(state.world), bodies.position, values, h=spec.support)
+    return timing.interleaved({"": splat}, repeats=repeats, **CLOCK)[""]
 
 
 def compute(options, seed, jobs, progress):
@@ -35,9 +88,9 @@ def compute(options, seed, jobs, progress):
         by_size[str(size)] = {
             "scene": [i for i, of_scene in enumerate(states) for _ in of_scene],
             "contacts": [state.contacts.count for state in flat],
-            "starts": chapter_5.time_to_threshold(flat, fitting, **timed),
+            "starts": time_to_threshold(flat, fitting, **timed),
             "refused": refused,
-            "splat by k-d tree": chapter_5.time_by_tree(flat[-1], repeats=options["repeats"]),
+            "splat by k-d tree": time_by_tree(flat[-1], repeats=options["repeats"]),
         }
     return {"piles": by_size, "networks": chapter_5.networks_info(networks)}
 

@@ -1,9 +1,64 @@
 """python scripts/figure_5_9_cnn.py: the CNN start beside all others, on scenes that no network was trained on."""
 
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from deep_contact.physics.contact_solver import projected
 from deep_contact.reporting import Figure, figures
-from deep_contact.studies import chapter_5, starts
+from deep_contact.reporting.figures import Claim
+from deep_contact.state import State
+from deep_contact.studies import chapter_5, starts, verdicts
+from deep_contact.studies.starts import READ, start_of
+from deep_contact.warm_start import Sph
 
 TITLE = "Does a network's start converge like SPH's?"
+
+
+CLOSE = (0.5, 2.0)
+"""Range of θ over θ of two starts that count as similar."""
+
+
+PLACE = "section 5.4, Figure 5.9"
+
+
+@dataclass(frozen=True)
+class ReadBySharing:
+    """A network's start, its image read back as the thesis's authors programmed it: each node shares out its value."""
+
+    model: str
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        model = start_of({"model": self.model}).model
+        way = Sph(spacing=model.spec.spacing, support=model.spec.support, transfer="shared")
+        return projected(*way.gather(state, np.float64(model.predict_image(state))), state.world.friction)
+
+
+def claims_of_network(data: Mapping, name: str) -> Iterator[Claim]:
+    """The thesis's claims on Figure 5.9 for one network.
+
+    data: of `starts.compare_starts` with the starts "none", "builtin", those of `READ`, "copy" and this one, with the
+    cards of the networks (`chapter_5.networks_info`) under "networks".
+    """
+    network = data["networks"][name]
+
+    def judged(*names, **keywords):
+        return chapter_5.of_network(network, verdicts.judged(data, *names, PLACE, **keywords))
+
+    for read, how in chapter_5.READ_NETWORK.items():
+        if name + read in data["independent"]:
+            start, label = name + read, chapter_5.label_of(network) + how
+            for sph, way in READ.items():
+                similar = f"{label} performs similarly to SPH, {way}: θ from half to twice of it"
+                yield judged(start, sph, similar, within=CLOSE)
+                yield judged(sph, start, f"{label} is not as good as SPH, {way}")
+            yield judged(start, "builtin", f"{label} converges faster than Builtin")
+            small = f"{label} is just a small improvement to Builtin: θ from half of Builtin's to Builtin's"
+            yield judged(start, "builtin", small, within=(0.5, 1.0))
+            yield judged("copy", start, f"{label} does not converge as rapidly as Copy")
+            useful = f"{label} is a start: its θ is at most half of None's"
+            yield verdicts.judged(data, start, "none", useful, within=verdicts.MUCH_FASTER)
 
 
 def compute(options, seed, jobs, progress):
@@ -13,14 +68,14 @@ def compute(options, seed, jobs, progress):
     shared = [name for name, card in about.items() if card["architecture"] == "thesis"]
     chosen = {"none": "none", "builtin": "builtin"} | {name: of | size for name, of in starts.CHOSEN.items()}
     chosen |= {name: {"model": path} for name, path in networks.items()}
-    chosen |= {f"{name}, shared": chapter_5.ReadBySharing(networks[name]) for name in shared} | {"copy": "copy"}
+    chosen |= {f"{name}, shared": ReadBySharing(networks[name]) for name in shared} | {"copy": "copy"}
     own = {"modes": ["independent"], "seed": seed, "jobs": jobs, "progress": progress}
     return starts.compare_starts(chosen, **own, **options) | {"networks": about}
 
 
 def claims(data):
     for name in data["networks"]:
-        yield from chapter_5.claims_of_network(data, name)
+        yield from claims_of_network(data, name)
 
 
 def draw(data, options):

@@ -1,5 +1,7 @@
 """python scripts/figure_6_14_no_past.py: the first step of a pile without impulses, by what it starts from."""
 
+from collections.abc import Mapping
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -7,11 +9,116 @@ import numpy as np
 
 from deep_contact import parallel
 from deep_contact.io.provenance import commit
+from deep_contact.physics.solvers import NNCG
 from deep_contact.reporting import Claim, Figure, figures, plotting
-from deep_contact.studies import no_past
-from deep_contact.studies.learned_starts import median_with_interval, text_of
-from deep_contact.studies.no_past import LEARNED
+from deep_contact.simulation import simulate, solve_contacts
+from deep_contact.state import StateWithContacts
+from deep_contact.studies import piles, timing
+from deep_contact.studies.learned_starts import (
+    BASE,
+    errors_of,
+    fixed,
+    from_rows,
+    median_with_interval,
+    settings_with,
+    sweep_times,
+    text_of,
+)
 from deep_contact.studies.parts import done
+from deep_contact.warm_start import LearnedSupport, Support
+
+METHODS = ("PSOR 1.5", BASE, "NNCG", "NesterovPGS")
+
+
+REFERENCE_SWEEPS = 20_000
+
+
+LEARNED = "learned support"
+
+
+def case(n_bodies: int, kind: str, smallest: float, seed: int) -> tuple[StateWithContacts, list, StateWithContacts]:
+    """(State whose contacts carry no impulses, solutions of its step, the state as it was, with its impulses).
+
+    kind: of `piles.KINDS`. smallest: least radius, m; the largest is 1 m.
+    """
+    make = partial(piles.packed_pile, steps=50, smallest=smallest)
+    past = piles.pile(kind, n_bodies, seed, solver=piles.SETTLE, make=make)
+    state, tolerance = piles.without_past(past), 1e-9 * float(past.bodies.mass.mean())
+    ends = [solve_contacts(past, solver=NNCG(sweeps=REFERENCE_SWEEPS, tolerance=tolerance))]
+    start = Support()(state, None)
+    for name in ("PSOR 1.5", "NesterovPGS"):
+        ends.append(solve_contacts(state, solver=fixed(name, REFERENCE_SWEEPS // 4), start=start))
+    return state, piles.references_from(state, ends, exact=False) or ends[:1], past
+
+
+def starts_of(state: StateWithContacts, model: str) -> dict:
+    """Start -> what makes its impulses, from rows that have been built, as a run has them."""
+    nothing = np.zeros(state.contacts.count)
+    ours = {"support": Support(), LEARNED: LearnedSupport(model)}
+    return {"zero": lambda: (nothing, nothing)} | {name: from_rows(start, state) for name, start in ours.items()}
+
+
+def measure(n_bodies: int, kind: str, radii: str, seed: int, options: Mapping, **_) -> dict:
+    """What the starts of one pile lead to. options: "radii": name -> smallest, "sweeps", "model", "first": of `jolt`.
+
+    Returns "contacts", "errors": method -> start -> velocity errors "after" so many sweeps, and "jolt": of a run from
+    each start, of the run that `simulate` makes of the state, and of that from its past.
+    """
+    state, references, past = case(n_bodies, kind, options["radii"][radii], seed)
+    impulses = {name: make() for name, make in starts_of(state, options["model"]).items()}
+    errors = errors_of(state, impulses, settings_with(impulses, METHODS), options["sweeps"], references)
+    errors = {method: {name: errors[f"{name}, {method}"] for name in impulses} for method in METHODS}
+    jolts = {name: jolt(state, start, options["first"][name]) for name, start in impulses.items()}
+    jolts |= {"simulate": jolt(state), "past": jolt(past)}
+    about = {"n_bodies": n_bodies, "kind": kind, "radii": radii, "seed": seed, "after": options["sweeps"]}
+    return about | {"contacts": state.contacts.count, "errors": errors, "jolt": jolts}
+
+
+def prices(state: StateWithContacts, starts: Mapping, repeats: int) -> dict:
+    """{"contacts", "price": start -> s, "sweeps": method -> time of none and of each sweep, s}.
+
+    starts: of `starts_of`.
+    """
+    swept = sweep_times(state, METHODS, (20, 220), repeats)
+    sweeps = {name: [max(overhead, 0.0), slope] for name, (slope, overhead) in swept.items()}
+    price = timing.interleaved(starts, repeats=repeats)
+    return {"contacts": state.contacts.count, "price": price, "sweeps": sweeps}
+
+
+def jolt(state: StateWithContacts, impulses=None, sweeps: int = 0) -> dict:
+    """Half a second by the preset "fast", whose first step has so many sweeps of NesterovPGS from these impulses.
+
+    Returns {"speed": largest rms speed, m/s}. Without impulses it is the run that `simulate` makes of the state.
+    """
+    state = state.replace(step=0)
+    if impulses is not None:
+        first = solve_contacts(state, solver=fixed("NesterovPGS", sweeps), start=impulses)
+        contacts = state.contacts._replace(normal_start=first.normal_impulses, tangent_start=first.tangent_impulses)
+        state = state.replace(contacts=contacts)
+    run = simulate(state, steps=50, record=1, accuracy="fast")
+    return {"speed": max(map(piles.rms_speed, run.trajectory))}
+
+
+def time_to(curve: list, error: float) -> float:
+    """Time at which a curve of (time, error) first comes down to an error, s, interpolated by powers; or infinity."""
+    for (before, above), (after, below) in zip([curve[0], *curve], curve):
+        if below <= error:
+            share = np.log(above / error) / np.log(above / below) if above > below else 1.0
+            return float(before * (after / before) ** share)
+    return float("inf")
+
+
+def curves_of(of_pile: Mapping, timed: Mapping, start: str) -> list[list[tuple]]:
+    """(Time, error) after each number of sweeps from a start, whose price counts: one curve for each method.
+
+    of_pile: of `measure`. timed: of `prices`, whose times go by contacts.
+    """
+    scale, after, curves = of_pile["contacts"] / timed["contacts"], np.array(of_pile["after"]), []
+    for name, by_start in of_pile["errors"].items():
+        overhead, sweep = timed["sweeps"][name]
+        curves.append(list(zip(scale * (timed["price"][start] + overhead + sweep * after), by_start[start])))
+    return curves
+
 
 COLOURS = {"zero": plotting.GREY, "support": plotting.VERMILION, LEARNED: plotting.PURPLE}
 JOLTS = (*COLOURS, "simulate", "past")
@@ -33,12 +140,12 @@ def compute(options, seed, jobs, progress):
     parts = [
         ("pile", cell | common | {"seed": s}) for cell in cells for s in parallel.seeds(seed, states[cell["n_bodies"]])
     ]
-    piles = done(parts, {"pile": no_past.measure}, work=Path(options["work"]), jobs=jobs, text="piles")
+    piles = done(parts, {"pile": measure}, work=Path(options["work"]), jobs=jobs, text="piles")
     timed = []
     for cell in progress(cells, text="times"):
         smallest, (first,) = options["radii"][cell["radii"]], parallel.seeds(seed, 1)
-        state, *_ = no_past.case(cell["n_bodies"], cell["kind"], smallest, first)
-        timed.append(cell | no_past.times(state, no_past.starts_of(state, options["model"]), options["repeats"]))
+        state, *_ = case(cell["n_bodies"], cell["kind"], smallest, first)
+        timed.append(cell | prices(state, starts_of(state, options["model"]), options["repeats"]))
     return {"piles": piles, "times": timed}
 
 
@@ -61,8 +168,8 @@ def cells(data):
 
 def times(piles, timed, start, error):
     """Times of the piles to an error by the fastest method, ms; infinite where none comes there."""
-    curves = (no_past.curves(pile, timed, start) for pile in piles)
-    return np.array([1e3 * min(no_past.time_to(curve, error) for curve in of_pile) for of_pile in curves])
+    curves = (curves_of(pile, timed, start) for pile in piles)
+    return np.array([1e3 * min(time_to(curve, error) for curve in of_pile) for of_pile in curves])
 
 
 def ratio(piles, timed, start, error, others):
@@ -71,7 +178,7 @@ def ratio(piles, timed, start, error, others):
     A start that never comes to the error counts with the time of the most sweeps, a bound.
     """
     one, other = times(piles, timed, start, error), np.min([times(piles, timed, o, error) for o in others], axis=0)
-    most = [1e3 * max(curve[-1][0] for curve in no_past.curves(pile, timed, start)) for pile in piles]
+    most = [1e3 * max(curve[-1][0] for curve in curves_of(pile, timed, start)) for pile in piles]
     ratios = (np.minimum(one, most) / np.minimum(other, most))[np.isfinite(one) | np.isfinite(other)]
     return median_with_interval(ratios) if 2 * ratios.size > one.size else None
 

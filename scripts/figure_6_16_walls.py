@@ -4,14 +4,11 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact import parallel, trade
-from deep_contact.io.provenance import commit
+from deep_contact import trade
 from deep_contact.physics.scenes import drum, hopper, terrain
 from deep_contact.presets import PRESETS, excess
 from deep_contact.reporting import Claim, Figure, figures, plotting
-from deep_contact.run_errors import observation, observe
 from deep_contact.studies import runs
-from deep_contact.studies.parts import done
 
 SCENES = {
     "terrain, 24 segments": (terrain, {"bumps": 24}),
@@ -30,21 +27,6 @@ def scene(name, n_bodies, seed):
     return make(n_bodies, seed=seed, **options)
 
 
-def observed(name, n_bodies, seed, setting, seconds, commit):
-    """What is looked at of one run of a scene with a setting."""
-    states = trade.states_of(scene(name, n_bodies, seed), setting, round(seconds / runs.INTERVAL), runs.INTERVAL)
-    return observe(states)
-
-
-def timed(name, n_bodies, seed, setting, seconds, commit):
-    """Mean time of the scene's Δt in such a run, µs."""
-    start = scene(name, n_bodies, seed)
-    return 1e6 * trade.timed(start, setting, seconds) * start.dt / seconds
-
-
-FUNCTIONS = {"observed": observed, "timed": timed}
-
-
 def settings_of(start):
     """The reference's setting of a scene, then ours, the presets' among them, then other engines'."""
     by_preset, ladder = trade.ladder(start)
@@ -61,23 +43,11 @@ def compute(options, seed, jobs, progress):
 
 def measure(name, n, options, seed, jobs):
     """The rows and presets of a scene of n circles, as of the study of runs, and what `accuracy=` takes by name."""
-    numbers = parallel.seeds(seed, options["seeds"][str(n)])
-    start = scene(name, n, numbers[0])
-    reference, *settings = {trade.name_of(one, start.dt): one for one in settings_of(start)}.values()
-    common = {"name": name, "n_bodies": n, "seconds": options["seconds"], "commit": commit()}
-
-    def parts(what, settings, numbers, jobs):
-        cells = [(what, common | {"seed": one, "setting": setting}) for setting in settings for one in numbers]
-        made = done(cells, FUNCTIONS, work=Path(options["work"]), jobs=jobs, text=f"{name}, {n}, {what}")
-        return [made[k : k + len(numbers)] for k in range(0, len(made), len(numbers))]
-
-    seen = [list(map(observation, runs)) for runs in parts("observed", [reference, *settings], numbers, jobs)]
-    rows, same = [], {"kind": "plain", "n_bodies": n}  # `runs.presets` compares engines on plain piles
-    for setting, ensemble, took in zip(
-        settings, seen[1:], parts("timed", settings, numbers[: options["timed"][str(n)]], 1)
-    ):
-        us = float(np.mean(took))
-        rows.append(trade.row_of(setting, start.dt, ensemble, seen[0]) | same | {"us": us, "times": [us]})
+    start, common = scene(name, n, seed), {"work": Path(options["work"]), "seconds": options["seconds"], "seed": seed}
+    cases = {(name, n, trade.name_of(one, start.dt)): (one, options["seeds"][str(n)]) for one in settings_of(start)}
+    _, *others = runs.observed_rows(scene, cases, **common, jobs=jobs).items()
+    rows = runs.timed_rows(scene, dict(others), dict.fromkeys(cases, options["timed"][str(n)]), **common)
+    rows = [row | {"kind": "plain"} for row in rows]  # `runs.presets` compares engines on plain piles
     chosen = {preset: trade.name_of(setting, start.dt) for preset, setting in trade.ladder(start)[0].items()}
     return {"scene": name, "n_bodies": n, "rows": rows, "presets": runs.presets(rows), "chosen": chosen}
 

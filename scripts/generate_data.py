@@ -27,8 +27,7 @@ from deep_contact.cnn.dataset import PHASES, phase, simulation_path
 from deep_contact.io import simulation_h5
 from deep_contact.io.simulation_h5 import DataFileError, simulation_info
 from deep_contact.physics import metrics
-from deep_contact.studies.no_past import without_past
-from deep_contact.studies.piles import SETTLE, packing
+from deep_contact.studies.piles import SETTLE, packing, without_past
 
 SOLVER = dc.PGS(sweeps=5000, tolerance=constants.THETA_TOLERANCE)
 """As in the thesis's generator; states that need more sweeps are kept as they are."""

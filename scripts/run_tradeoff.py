@@ -1,34 +1,25 @@
-"""The study of speed against accuracy in runs: errors and times of settings and of other engines.
+"""python scripts/run_tradeoff.py: the study of speed against accuracy in runs, of settings and of other engines.
 
-    python scripts/run_tradeoff.py [--quick] [--jobs J] [--seed S] [--out FILE] [--work FOLDER]
-    python scripts/run_tradeoff.py --errors     only the parts that need no quiet machine
-    python scripts/run_tradeoff.py --add        errors of settings that the results file lacks, and times of all
-    python scripts/run_tradeoff.py --known      only judge the settings of the results file by answers that are known
-
-A list of scenes and settings, which `deep_contact.trade` runs, times and judges as those of a user's own scene. Every
-finished part is stored in the work folder, so an interrupted study goes on where it stopped. Several processes
-compute errors; then one process measures times. `--install` makes these the numbers that `dc.simulate` and
-`dc.recommend` read. Figures 6.1, 6.2 and 6.11 draw the results file.
+A list of scenes and settings, which `studies.runs` runs, times and judges. Every finished part is stored in the work
+folder, so an interrupted study of one commit goes on where it stopped. Several processes compute errors; then one
+measures times: `--set timed=false` leaves these out, for a machine that is not quiet. `--set add=true` takes over the
+errors that data/reference has, and measures what it lacks, and all times. `--install` alone judges the stored settings by known
+answers and makes their numbers those that `dc.simulate` and `dc.recommend` read. Figures 6.1, 6.2 and 6.11 draw them.
 """
 
 from __future__ import annotations
 
-import argparse
-import time
+import sys
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 
-import numpy as np
-
-from deep_contact import parallel, run_errors, trade
+from deep_contact import run_errors
 from deep_contact.constants import TIME_STEP
 from deep_contact.presets import TABLE
-from deep_contact.reporting import results
+from deep_contact.reporting import Claim, Figure, figures, results
 from deep_contact.studies import runs
 from deep_contact.studies.known import error as known_error
-from deep_contact.studies.parts import done
+from deep_contact.trade import name_of
 from deep_contact.validation import expect
 
 
@@ -163,120 +154,77 @@ MORE = {
 DEAR = ("drum", "light on heavy 1 : 10")
 """Kinds that are not run with 10,000 circles: the drum's segments make it ten times as dear."""
 
-FULL = {
-    "sizes": [100, 1000, 3000, 10_000],
-    "seeds": {n: dict.fromkeys(runs.KINDS, 12 if n == "100" else 6) for n in ("100", "1000")}
-    | {"3000": {kind: 4 if kind in runs.DENSE_KINDS else 6 for kind in runs.KINDS}}
-    | {"10000": {kind: 3 if kind in runs.DENSE_KINDS else 6 for kind in runs.KINDS if kind not in DEAR}},
-    "peer_seeds": {"100": 12, "1000": 6, "3000": 6, "10000": 6},
-    "ladder_seeds": {"100": 12, "1000": 6, "3000": 3, "10000": 3},
-    "seconds": 6.0,
-    "settings": {"100": SMALL, "1000": SMALL, "3000": MEDIUM, "10000": LARGE},
+LISTS = {
+    "settings": {"100": SMALL, "300": MEDIUM, "1000": SMALL, "3000": MEDIUM, "10000": LARGE},
     "dense": {"100": DENSE_SMALL, "1000": DENSE_SMALL, "3000": DENSE, "10000": DENSE_LARGE},
-    "more": MORE,
-    "ladders": {"100": LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGE_LADDER},
-    "peers": {"100": PEERS, "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGE_PEERS},
-    "processes": 3,
+    "ladder": {"100": LADDER, "300": LARGE_LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGE_LADDER},
+    "peers": {"100": PEERS, "300": [], "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGE_PEERS},
 }
-QUICK = FULL | {
-    "sizes": [100, 300],
-    "seeds": {"100": {"plain": 4}, "300": {"plain": 3}},
-    "peer_seeds": {"100": 4, "300": 3},
-    "ladder_seeds": {"100": 4, "300": 3},
-    "seconds": 4.0,
-    "settings": {"100": SMALL, "300": MEDIUM},
-    "ladders": {"100": LADDER, "300": LARGE_LADDER},
-    "peers": {"100": PEERS[::3], "300": []},
-    "processes": 1,
-}
-ON_PLAIN_PILES = {"ladders": "ladder_seeds", "peers": "peer_seeds"}
-"""Lists of settings of plain piles alone -> their numbers of seeds."""
-
-LISTS = ("settings", "dense", "more", *ON_PLAIN_PILES)
-"""Options that the results file leaves out: its rows have them."""
-
-FUNCTIONS = {"observed": runs.observed, "timed": runs.timed}
-LIMIT = trade.name_of(runs.REFERENCE)
+"""Settings by number of circles: of most kinds, of `DENSE_KINDS`, and two lists of plain piles alone."""
 
 
-def wanted(options: dict) -> dict[tuple[str, int, str], tuple[dict, int]]:
+def wanted(options: Mapping) -> dict[tuple[str, int, str], tuple[dict, int]]:
     """(Kind, n_bodies, name) -> (setting, number of seeds); of a name that is there twice, the first has the most."""
     cases_by_name = {}
     for n, kinds in options["seeds"].items():
         for kind, count in kinds.items():
-            ours = options["dense" if kind in runs.DENSE_KINDS else "settings"][n]
-            lists = [([*ours, *options["more"].get(kind, {}).get(n, []), runs.REFERENCE], count)]
+            ours = LISTS["dense" if kind in runs.DENSE_KINDS else "settings"][n]
+            lists = [([runs.REFERENCE, *ours, *MORE.get(kind, {}).get(n, [])], count)]
             if kind == "plain":
-                lists += [(options[name][n], options[seeds][n]) for name, seeds in ON_PLAIN_PILES.items()]
-            cases = [(setting, count) for listed, count in lists for setting in listed]
-            cases_by_name |= {(kind, int(n), trade.name_of(case[0])): case for case in reversed(cases)}
+                lists += [(LISTS["ladder"][n], options["ladder_seeds"][n])]
+                lists += [(LISTS["peers"][n][:: options["peers"]], options["peer_seeds"][n])]
+            for setting, seeds in ((setting, seeds) for listed, seeds in lists for setting in listed):
+                cases_by_name.setdefault((kind, int(n), name_of(setting)), (setting, seeds))
     return cases_by_name
 
 
-def plan(options: dict, seed: int, before: Mapping | None) -> tuple[list, dict]:
-    """The observations as (name, arguments), the quick ones first, and (kind, n_bodies, name) -> row that needs none.
+def known(options: Mapping, seed: int, before: Mapping) -> dict[tuple[str, int, str], dict]:
+    """The rows of an earlier study that need no new errors. Where one does, the reference beside it does too.
 
-    before: results whose rows are known. Those of fewer seeds are observed again, and the reference beside them. Raises
-    ValueError where it has other options.
+    Raises ValueError where it has other options.
     """
-    cases, known = wanted(options), {}
-    if before is not None:
-        of = before["options"] | {"seed": before["provenance"]["seed"]}
-        for name, mine in {"sizes": options["sizes"], "seconds": options["seconds"], "seed": seed}.items():
-            expect(of[name] == mine, f"{name}: expected {mine} in the results, got {of[name]}")
-        known = {(row["kind"], row["n_bodies"], row["name"]): row for row in before["data"]["rows"]}
-    kept = {key: known[key] for key, (_, count) in cases.items() if key in known and known[key]["seeds"] >= count}
+    theirs = before["options"]["seconds"], before["provenance"]["seed"]
+    expect(theirs == (options["seconds"], seed), f"seconds, seed: expected {theirs} as in the results")
+    rows, cases = {(row["kind"], row["n_bodies"], row["name"]): row for row in before["data"]["rows"]}, wanted(options)
+    kept = {key: rows[key] for key, (_, count) in cases.items() if key in rows and rows[key]["seeds"] >= count}
     renewed = {key[:2] for key in cases.keys() - kept.keys()}
-    kept = {key: row for key, row in kept.items() if key[2] != LIMIT or key[:2] not in renewed}
-    seen = [
-        ("observed", {"kind": kind, "n_bodies": n, "seed": one, "setting": setting, "seconds": options["seconds"]})
-        for (kind, n, name), (setting, count) in cases.items()
-        if (kind, n, name) not in kept
-        for one in parallel.seeds(seed, count)
-    ]
-    return sorted(seen, key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"]), kept
+    return {key: row for key, row in kept.items() if key[2] != name_of(runs.REFERENCE) or key[:2] not in renewed}
 
 
-def study(
-    options: dict, before: Mapping | None = None, *, seed: int, jobs: int, work: Path, errors_only: bool
-) -> dict | None:
-    """The data of the results file. before: one whose errors are taken over; times are measured anew."""
-    seen, rows = plan(options, seed, before)
-    observed = done(seen, FUNCTIONS, work=work, jobs=jobs, text="errors")
-    if errors_only:
-        return None
-    ensembles: dict = {}  # runs in the order of their seeds, so that each meets the reference of its own scene
-    for (_, part), stored in zip(seen, observed):
-        key = part["kind"], part["n_bodies"], trade.name_of(part["setting"])
-        ensembles.setdefault(key, (part["setting"], []))[1].append(run_errors.observation(stored))
-    for (kind, n, name), (setting, ensemble) in ensembles.items():
-        row = trade.row_of(setting, TIME_STEP, ensemble, ensembles[kind, n, LIMIT][1][: len(ensemble)])
-        rows[kind, n, name] = {"kind": kind, "n_bodies": n} | row | ({"errors": None} if name == LIMIT else {})
+def compute(options, seed, jobs, progress):
+    """Rows of all scenes and settings, and what each preset takes of them."""
+    before, rows = results.reference("run_tradeoff") if options["add"] else None, {}
+    if before is not None:
+        rows = known(options, seed, before)
+    missing = {key: case for key, case in wanted(options).items() if key not in rows}
+    common = {"work": Path(options["work"]), "seconds": options["seconds"], "seed": seed}
+    rows |= runs.observed_rows(runs.scene, missing, **common, jobs=jobs)
     # Of plain piles the smallest steps are there for Figure 6.2 alone.
-    timed = [key for key, row in rows.items()
-             if row["errors"] and (key[0] != "plain" or row["setting"]["dt"] >= TIME_STEP / 8)]  # fmt: skip
-    took: dict = {key: [] for key in rows}
-    for process in range(options["processes"]):  # of plain piles in several, each on a scene of its own
-        keys = [key for key in timed if process == 0 or key[0] == "plain"]
-        of = {"seed": seed + process, "seconds": options["seconds"]}
-        parts = [("timed", of | {"kind": key[0], "n_bodies": key[1], "setting": rows[key]["setting"]}) for key in keys]
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
-            one = alone if options["processes"] > 1 else 1
-            for key, us in zip(keys, done(parts, FUNCTIONS, work=work, jobs=one, text="times")):
-                took[key].append(us)
-    priced = [rows[key] | {"us": float(np.median(us)) if us else None, "times": us} for key, us in took.items()]
-    return judged(priced)
+    times = {key: options["processes"] if key[0] == "plain" else 1 for key, row in rows.items() if options["timed"]
+             and row["errors"] and (key[0] != "plain" or row["setting"]["dt"] >= TIME_STEP / 8)}  # fmt: skip
+    rows = runs.timed_rows(runs.scene, rows, times, **common)
+    origin = [*before["data"].get("errors_from", []), before["provenance"]["commit"]] if before else []
+    return judged(rows) | {"errors_from": origin}
 
 
 def judged(rows: list[dict]) -> dict:
-    """The data of the results file from its rows: with the errors of ours where the answer is known, and presets."""
+    """The rows, with the errors of ours where the answer is known, and what each preset takes of them."""
     ours = {row["name"]: row["setting"] for row in rows if "engine" not in row["setting"]}
     known = {name: runs.rounded(known_error(setting)) for name, setting in ours.items()}
     rows = [row | ({"known": known[row["name"]]} if row["name"] in known else {}) for row in rows]
     return {"errors": run_errors.ERRORS, "rows": rows, "presets": runs.presets(rows)}
 
 
-def table(data: dict, cpu: str) -> dict:
+def table(data):
+    """The setting of each preset on plain piles, its time, and that of the fastest other engine over it."""
+    rows = [["circles", "preset", "setting", "µs", "fastest rival / ours"]]
+    for row in data["presets"]:
+        ours = row["kinds"].get("plain") or {"name": None, "us": None}
+        rows.append([row["n_bodies"], row["preset"], ours["name"], ours["us"], row["ratio"][0]])
+    return rows
+
+
+def installed(data: Mapping, cpu: str) -> dict:
     """What the presets read: settings with errors and times by size and kind of scene."""
     settings: dict = {}
     for row in data["rows"]:
@@ -292,57 +240,46 @@ def table(data: dict, cpu: str) -> dict:
     return {"cpu": cpu, "sizes": runs.sizes_of(data["rows"]), "settings": list(settings.values())}
 
 
-def claims(data: dict) -> Iterator[results.Claim]:
+def claims(data: Mapping) -> Iterator[Claim]:
     """Whether presets are kept, and what the fastest rival pays for the same."""
     for n in runs.sizes_of(data["presets"]):
         mine = {row["preset"]: row for row in data["presets"] if row["n_bodies"] == n}
         missing = {preset: [kind for kind, ours in row["kinds"].items() if not ours] for preset, row in mine.items()}
         missing = {preset: kinds for preset, kinds in missing.items() if kinds}
         text = f"on each kind of scene some setting keeps every preset, {n:,} circles"
-        yield results.Claim(text, None, not missing, {"kinds without one": missing})
+        yield Claim(text, None, not missing, {"kinds without one": missing})
         if ratios := {preset: row["ratio"][0] for preset, row in mine.items() if row["ratio"][0]}:
             ahead = sum(ratio >= 5 for ratio in ratios.values()) >= 2 and min(ratios.values()) >= 1
             text = f"5 times cheaper than the fastest rival for two presets, dearer for none, {n:,} circles"
-            yield results.Claim(text, None, ahead, ratios)
+            yield Claim(text, None, ahead, ratios)
 
 
-def main(arguments=None) -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    add = parser.add_argument
-    add("--quick", action="store_true", help="a smaller study that ends within five minutes")
-    add("--seed", type=int, default=0, help="of the piles")
-    add("--jobs", type=int, default=2, help="processes for the errors (2)")
-    add("--out", type=Path, help="results file (in data/reference; quick: in runs)")
-    add("--work", type=Path, default=Path("runs/run_tradeoff"), help="folder of the finished parts")
-    add("--install", action="store_true", help="make these the numbers of the presets")
-    add("--errors", action="store_true", help="only what needs no quiet machine; a later run adds times")
-    add("--add", action="store_true", help="take the errors over that the results file has, and measure times anew")
-    add("--known", action="store_true", help="judge the settings that the file has by known answers; installs them")
-    args = parser.parse_args(arguments)
-    start, options = time.perf_counter(), QUICK if args.quick else FULL
-    out = args.out or Path("runs/run_tradeoff_quick.json" if args.quick else "data/reference/run_tradeoff.json")
-    before = results.read_results(out) if args.add or args.known else None
-    if args.known:
-        data = judged(before["data"]["rows"])
-        results.write_results(out, before | {"claims": list(claims(data)), "data": data}, digits=4)
-        results.write_json(TABLE, table(data, before["provenance"]["cpu"]))
-        return
-    data = study(options, before, seed=args.seed, jobs=args.jobs, work=args.work, errors_only=args.errors)
-    if data is None:
-        return
-    made = results.provenance(seed=args.seed, wall_s=time.perf_counter() - start)
-    kept = {key: value for key, value in options.items() if key not in LISTS} | {"quick": args.quick}
-    if before:
-        kept["errors_from"] = [*before["options"].get("errors_from", []), before["provenance"]["commit"]]
-    stored = {"id": "6.1", "title": "Speed for accuracy in runs: errors and times of settings and engines"}
-    stored |= {"options": kept, "provenance": made, "claims": list(claims(data)), "data": data}
-    results.write_results(out, stored, digits=4)
-    for claim in stored["claims"]:
-        print(f"{'holds' if claim.holds else 'does not hold'}: {claim.text}: {claim.measured}")
-    if args.install:
-        results.write_json(TABLE, table(data, made["cpu"]))
-    print(f"{len(data['rows'])} rows in {out.name}, {made['wall_s']:.0f} s")
+FULL = {
+    "seeds": {n: dict.fromkeys(runs.KINDS, 12 if n == "100" else 6) for n in ("100", "1000")}
+    | {"3000": {kind: 4 if kind in runs.DENSE_KINDS else 6 for kind in runs.KINDS}}
+    | {"10000": {kind: 3 if kind in runs.DENSE_KINDS else 6 for kind in runs.KINDS if kind not in DEAR}},
+    "peer_seeds": {"100": 12, "1000": 6, "3000": 6, "10000": 6},
+    "ladder_seeds": {"100": 12, "1000": 6, "3000": 3, "10000": 3},
+    "peers": 1, "seconds": 6.0, "processes": 3, "timed": True, "add": False, "work": "runs/run_tradeoff",
+}  # fmt: skip
+QUICK = {
+    "seeds": {"100": {"plain": 4}, "300": {"plain": 3}}, "peer_seeds": {"100": 4, "300": 3},
+    "ladder_seeds": {"100": 4, "300": 3}, "peers": 3, "seconds": 4.0, "processes": 1,
+}  # fmt: skip
+FIGURE = Figure("B.3", "Speed for accuracy in runs: errors and times of settings and engines", compute, table,
+                claims=claims, options=FULL, quick=QUICK, digits=4, file="run_tradeoff")  # fmt: skip
 
 
-if __name__ == "__main__":
-    main()
+def install() -> None:
+    """Judge the settings of data/reference by known answers once more, and make its numbers those of the presets."""
+    stored = results.reference("run_tradeoff")
+    data = stored["data"] | judged(stored["data"]["rows"])
+    stored |= {"claims": list(claims(data)), "data": data}
+    results.write_results(results.REFERENCE / "run_tradeoff.json", stored, digits=4)
+    results.write_json(TABLE, installed(data, stored["provenance"]["cpu"]))
+
+
+if __name__ == "__main__" and sys.argv[1:] == ["--install"]:
+    install()
+else:
+    figures.run_as_script(FIGURE, __name__)

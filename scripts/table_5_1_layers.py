@@ -7,9 +7,13 @@ MISPRINTS = {f"{kind}: printed, built" for kind in ("Input", "BatchNormalization
 """Layers that the thesis's table gives wrongly: 4 channels for 5, and 4 × 4 × 512 for 4 × 4 × 256."""
 
 
+PRINTED_LAYERS = chapter_5.PRINTED["layers"]
+"""Table 5.1 as the thesis prints it, misprints included: (layer, output shape without the batch)."""
+
+
 def compute(options, seed, jobs, progress):
     """Both tables, layer by layer."""
-    printed = [{"kind": kind, "shape": list(shape)} for kind, shape in chapter_5.PRINTED_LAYERS]
+    printed = [{"kind": kind, "shape": list(shape)} for kind, shape in PRINTED_LAYERS]
     return {"built": chapter_5.thesis_layers(), "printed": printed}
 
 

@@ -30,25 +30,22 @@ METADATA = "deep_contact"
 _FIELDS = ("format", "spec", "coarsening", "box", "card", "digest")
 
 _LAYERS = frozenset(
-    "Activation Add Average AveragePooling2D BatchNormalization Concatenate Conv2D Conv2DTranspose Cropping2D Dense "
-    "DepthwiseConv2D Dropout Flatten GlobalAveragePooling2D InputLayer LayerNormalization LeakyReLU MaxPooling2D "
-    "Multiply ReLU Rescaling Reshape SeparableConv2D Subtract UpSampling2D ZeroPadding2D".split()
+    "Add BatchNormalization Conv2D Conv2DTranspose Cropping2D Dense Dropout Flatten InputLayer MaxPooling2D ReLU "
+    "ZeroPadding2D".split()
 )
-"""Layers that a file may hold."""
+"""Layers that a file may hold: those of `architectures`."""
 
 _ARGUMENTS = frozenset(
-    "activation axis batch_shape bias_regularizer center cropping data_format depth_multiplier dilation_rate epsilon "
-    "filters groups interpolation keepdims kernel_regularizer kernel_size max_value momentum name negative_slope "
-    "offset output_padding padding pool_size rate rms_scaling scale size strides target_shape threshold units "
-    "use_bias".split()
+    "activation axis batch_shape bias_regularizer center cropping data_format dilation_rate epsilon filters groups "
+    "kernel_regularizer kernel_size max_value momentum name negative_slope output_padding padding pool_size rate scale "
+    "strides threshold units use_bias".split()
 )
 """Their arguments that are kept. Without the initializers, whose arguments change most and which weights replace."""
 
 _NETWORKS = {"Functional": ("name", "input_layers", "output_layers"), "Sequential": ("name",)}
 """Kind of network -> what is kept of its configuration beside the layers."""
 
-_REGULARIZERS = ("L1", "L2", "L1L2")
-_ACTIVATIONS = (None, "linear", "relu", "leaky_relu", "elu", "gelu", "silu", "swish", "tanh", "sigmoid", "softplus")
+_ACTIVATIONS = (None, "linear", "relu")
 
 
 class ModelFileError(FileError):
@@ -208,10 +205,10 @@ def _layer(layer, where: str) -> dict:
 
 
 def _check_parts(value, where: str) -> None:
-    """Raise ValueError where arguments hold classes other than Keras's regularizers, or other activations."""
+    """Raise ValueError where arguments hold classes other than Keras's L2, or other activations."""
     if isinstance(value, dict):
         kind, module = value.get("class_name"), value.get("module")
-        stock = module == "keras.regularizers" and kind in _REGULARIZERS and not value.get("registered_name")
+        stock = module == "keras.regularizers" and kind == "L2" and not value.get("registered_name")
         stock = stock or kind in (None, "__keras_tensor__")
         expect(stock, f"{where}: expected stock parts, got {kind!r} of {module!r}")
         activation = value.get("activation")

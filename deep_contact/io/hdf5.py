@@ -39,7 +39,7 @@ def opened(path, error: type[ValueError] = ValueError) -> Iterator[h5py.File]:
     """
     path = Path(path)
     refuse_special(path, error)
-    if damage := damaged_heap(path):
+    if damage := endless_heap(path):
         raise error(f"{path}: expected an HDF5 file, whole and undamaged, got {damage}")
     try:
         with h5py.File(path, "r", locking=False) as file:
@@ -122,29 +122,22 @@ def _check_chunks(data: h5py.Dataset, name: str) -> None:
                 raise ValueError(f"{name}: expected chunks of {size} bytes, got one that unpacks to more")
 
 
-_HEAP = struct.Struct("<8sQ")
-_OBJECT = struct.Struct("<HHIQ")
+def endless_heap(path) -> str:
+    """What makes HDF5 walk for ever through a heap of texts in a file, in words; empty where nothing does.
 
-
-def damaged_heap(path) -> str:
-    """What is wrong with the heaps of texts in an HDF5 file, in words; empty where nothing is.
-
-    The library walks through such a heap, object by object, and walks for ever where a free object of damaged size does
-    not lead on (1.14 and 2.0, `H5HG__cache_heap_deserialize`). (HDF5 File Format Specification, III.E, Global Heap.)
+    The library goes on by the size of each free object, and takes any (1.14 and 2.0, `H5HG__cache_heap_deserialize`).
+    All other damage it reports itself. (HDF5 File Format Specification, III.E, Global Heap.)
     """
     data, at = Path(path).read_bytes(), 0
     while (at := data.find(b"GCOL\x01\0\0\0", at)) >= 0:
-        if at + _HEAP.size > len(data):
-            return f"a heap at byte {at} that is cut off"
-        end, place = at + _HEAP.unpack_from(data, at)[1], at + _HEAP.size
-        if not place <= end <= len(data):
-            return f"a heap at byte {at} of {end - at} bytes in a file of {len(data)}"
-        while place + _OBJECT.size <= end:
-            index, _, _, size = _OBJECT.unpack_from(data, place)
+        end, at = at + int.from_bytes(data[at + 8 : at + 16], "little"), at + 16
+        while at + _OBJECT.size <= min(end, len(data)):
+            index, _, _, size = _OBJECT.unpack_from(data, at)
+            if index == 0 and size < _OBJECT.size:
+                return f"a free object at byte {at} of {size} bytes"
             # Free space, object 0, counts its own head; the others do not, and are padded to 8 bytes.
-            step = size if index == 0 else _OBJECT.size + (size + 7) // 8 * 8
-            if step < _OBJECT.size or place + step > end:
-                return f"an object at byte {place} of {size} bytes in a heap that ends at byte {end}"
-            place += step
-        at = end
+            at += size if index == 0 else _OBJECT.size + (size + 7) // 8 * 8
     return ""
+
+
+_OBJECT = struct.Struct("<HHIQ")

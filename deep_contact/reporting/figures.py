@@ -49,7 +49,8 @@ class Figure:
 
     id: "3.7" for a figure, "T 5.1" for a table. title: one line. options: the settings of a full run, name -> value
     (numbers, text, None, or lists and dicts of these). quick: the options that `--quick` changes. seed: default of
-    `--seed`. digits: significant digits kept of float arrays in the data, None for all.
+    `--seed`. digits: significant digits kept of float arrays in the data, None for all. file: name of its files without
+    suffix, where it is not that of its number.
 
     compute(options, seed, jobs, progress) -> data: dict of what `results.plain` can store. `jobs` goes to
     `parallel_map`, `progress` has the signature of `progress_bar`.
@@ -70,6 +71,7 @@ class Figure:
     quick: dict = field(default_factory=dict)
     seed: int = 0
     digits: int | None = 6
+    file: str = ""
 
     def __post_init__(self):
         results.plain(self.options, where="options")
@@ -79,7 +81,7 @@ class Figure:
     @property
     def stem(self) -> str:
         """Name of its files without suffix: figure_3_7, table_5_1."""
-        return re.sub(r"[ .]", "_", results.name_of(self.id).lower())
+        return self.file or re.sub(r"[ .]", "_", results.name_of(self.id).lower())
 
     @property
     def heading(self) -> str:

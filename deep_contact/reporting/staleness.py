@@ -29,7 +29,7 @@ STUDIES = {
     "benchmark_engine": [_SCRIPTS / "benchmark.py", "engine"],
     "benchmark_step": [_SCRIPTS / "benchmark.py", "step"],
 }
-"""File of data/reference -> the script and options that write it; `--out` and the path follow."""
+"""File of data/reference -> the script that writes it, and its name there."""
 
 TIMES = frozenset({
     *STUDIES, *(f"figure_{number}" for number in ("5_2", "5_10", "6_6", "6_7", "6_10", "6_14", "6_16")),

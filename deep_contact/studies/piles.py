@@ -14,7 +14,7 @@ from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
 from deep_contact.physics.solvers import NNCG, BatchedPGS
 from deep_contact.simulation import simulate
-from deep_contact.state import State, World
+from deep_contact.state import State, StateWithContacts, World
 from deep_contact.state.checks import make_bodies
 from deep_contact.studies.starts import solved_states
 from deep_contact.validation import one_of
@@ -105,3 +105,12 @@ def references_from(state: State, ends: Iterable[ContactSolution], *, exact: boo
             if near.converged and all(error > SAME for error in others):
                 references.append(near.solution)
     return references
+
+
+def without_past(state: StateWithContacts) -> StateWithContacts:
+    """The state with contacts that carry no impulses."""
+    nothing = np.zeros(state.contacts.count)
+    contacts = state.contacts._replace(
+        normal_impulse=nothing, tangent_impulse=nothing, normal_start=nothing, tangent_start=nothing
+    )
+    return state.replace(contacts=contacts, solved=False)

@@ -1,7 +1,7 @@
 """The scenes of the study of runs, and what it says of presets and rivals; the presets read it.
 
-`scripts/run_tradeoff.py` runs it by the functions of `deep_contact.trade`: every setting the same scenes. Errors need
-no quiet machine; times are measured one after the other on one.
+`observed_rows` and `timed_rows` measure scenes × settings × seeds by the functions of `deep_contact.trade`, every
+setting on the same scenes. Errors need no quiet machine; times are measured one after the other on one.
 
 Time steps are those of circles of r = 1 m under g = 9.81 m/s²: what counts is Δt √(g / r).
 """
@@ -9,21 +9,27 @@ Time steps are those of circles of r = 1 m under g = 9.81 m/s²: what counts is 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import product
+from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 
-from deep_contact import peers, trade
+from deep_contact import parallel, peers, trade
 from deep_contact.constants import GRAVITY, TIME_STEP
 from deep_contact.io import shipped
+from deep_contact.io.provenance import commit
 from deep_contact.physics.scenes import drum, lattice_in_box
 from deep_contact.presets import FASTEST, KNOWN, PRESETS, keeping
 from deep_contact.reporting import results
-from deep_contact.run_errors import Observation, observe
+from deep_contact.run_errors import observation, observe
 from deep_contact.state import State
 from deep_contact.studies import piles
+from deep_contact.studies.parts import done
 from deep_contact.trade import states_of
 from deep_contact.validation import one_of
 
@@ -102,14 +108,75 @@ def scene(kind: str, n_bodies: int, seed: int) -> State:
     return options.pop("make", piles.scene)(n_bodies, seed=seed, **options)
 
 
-def observed(kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float) -> Observation:
+# ---- scenes × settings × seeds -> rows ----
+
+Key = tuple[str, int, str]
+"""Kind of scene, number of circles, name of the setting."""
+
+
+def observed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_):
     """What is looked at of one run of a scene with a setting."""
-    return observe(states_of(scene(kind, n_bodies, seed), setting, round(seconds / INTERVAL), INTERVAL))
+    return observe(states_of(make(kind, n_bodies, seed), setting, round(seconds / INTERVAL), INTERVAL))
 
 
-def timed(kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float) -> float:
-    """Mean time of TIME_STEP in a run of a scene with a setting, μs."""
-    return 1e6 * trade.timed(scene(kind, n_bodies, seed), setting, seconds) * TIME_STEP / seconds
+def timed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_) -> float:
+    """Mean time of the scene's Δt in a run with a setting, μs."""
+    start = make(kind, n_bodies, seed)
+    return 1e6 * trade.timed(start, setting, seconds) * start.dt / seconds
+
+
+def observed_rows(
+    make: Callable,
+    cases: Mapping[Key, tuple[dict, int]],
+    *,
+    seed: int,
+    seconds: float,
+    work: Path,
+    jobs: int | Executor,
+) -> dict[Key, dict]:
+    """A row with errors for each case, key -> (setting, number of seeds); the first of a scene is its reference.
+
+    make: (kind, n_bodies, seed) -> scene, found by import. seconds: of a run. work: folder of the finished parts, which
+    a study of the same commit does not compute again. The reference has no errors.
+    """
+    common = {"seconds": seconds, "commit": commit()}
+    parts = [(key, common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": setting})
+             for key, (setting, count) in cases.items() for one in parallel.seeds(seed, count)]  # fmt: skip
+    parts.sort(key=lambda part: part[0][1] / part[1]["setting"]["dt"])  # the quick ones first
+    tasks, functions = [("observed", part) for _, part in parts], {"observed": partial(observed, make)}
+    seen: dict[Key, list] = {key: [] for key in cases}  # in the order of seeds: each meets the reference of its scene
+    for (key, _), stored in zip(parts, done(tasks, functions, work=work, jobs=jobs, text="errors")):
+        seen[key].append(observation(stored))
+    references, rows = {}, {}
+    for key, ensemble in seen.items():
+        kind, n_bodies, _ = key
+        if key[:2] not in references:
+            references[key[:2]] = ensemble, make(kind, n_bodies, seed).dt
+        true, step = references[key[:2]]
+        row = trade.row_of(cases[key][0], step, ensemble, true[: len(ensemble)])
+        rows[key] = {"kind": kind, "n_bodies": n_bodies} | row | ({"errors": None} if true is ensemble else {})
+    return rows
+
+
+def timed_rows(
+    make: Callable, rows: Mapping[Key, dict], times: Mapping[Key, int], *, seed: int, seconds: float, work: Path
+) -> list[dict]:
+    """The rows with "times", μs, each from a process and a scene of its own, as many as `times` says, and their median.
+
+    Nothing else should run meanwhile.
+    """
+    common, took = {"seconds": seconds, "commit": commit()}, {key: [] for key in rows}
+    scenes = parallel.seeds(seed, max(times.values(), default=0))
+    for number, one in enumerate(scenes):
+        keys = [key for key in rows if times.get(key, 0) > number]
+        parts = [("timed", common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": rows[key]["setting"]})
+                 for key in keys]  # fmt: skip
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
+            jobs = alone if len(scenes) > 1 else 1
+            for key, us in zip(keys, done(parts, {"timed": partial(timed, make)}, work=work, jobs=jobs, text="times")):
+                took[key].append(us)
+    return [row | {"us": float(np.median(took[key])) if took[key] else None, "times": took[key]}
+            for key, row in rows.items()]  # fmt: skip
 
 
 # ---- what the study says ----

@@ -111,20 +111,22 @@ def test_a_heap_that_does_not_lead_on_is_met_before_hdf5_walks_through_it_for_ev
     # Texts of variable length lie in a global heap: objects of (index, references, 0, size) and their bytes.
     with h5py.File(path, "r+") as file:
         file.attrs["one"] = ["a text", "and another"]
-    assert hdf5.damaged_heap(path) == ""
+    assert hdf5.endless_heap(path) == ""
     data = bytearray(path.read_bytes())
     at = data.find(b"GCOL") + 16
     while int.from_bytes(data[at : at + 2], "little"):
         at += 16 + (int.from_bytes(data[at + 8 : at + 16], "little") + 7) // 8 * 8
-    data[at + 8 : at + 16] = bytes(8)  # free space of no size
-    for damaged, message in (
-        (data, f"an object at byte {at} of 0 bytes"),
-        (data[: data.find(b"GCOL") + 12], "cut off"),
-    ):
-        path.write_bytes(damaged)
+    for size, message in ((0, f"a free object at byte {at} of 0 bytes"), (15, "of 15 bytes")):
+        data[at + 8 : at + 16] = size.to_bytes(8, "little")
+        path.write_bytes(data)
         for reader, error in ((read_metadata, ModelFileError), (read_simulation, DataFileError)):
             with pytest.raises(error, match=message):
                 reader(path)
+    data[at + 8 : at + 16] = bytes(7 * [255]) + b"\1"  # beyond the heap: what HDF5 reports itself
+    path.write_bytes(data)
+    with pytest.raises(ValueError, match=r"hostile.h5: expected an HDF5 file, whole and undamaged"):
+        with hdf5.opened(path) as file:
+            print(file.attrs["one"])
 
 
 @pytest.fixture(scope="module")

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from conftest import load_script
 from scipy import sparse
 
 import deep_contact as dc
@@ -17,9 +18,9 @@ from deep_contact.physics.islands import islands_of
 from deep_contact.physics.lcp import check_problem, contact_problem
 from deep_contact.physics.matrix_solvers import solve_problem
 from deep_contact.state.checks import check_state
-from deep_contact.studies.chapter_4 import window_products
 
 COLUMN, TOUCHING = dc.column(2), dc.find_contacts(dc.single_body(friction=0.3))
+window_products = load_script("figure_4_2").window_products
 PROBLEM = contact_problem(TOUCHING)
 GRID = sph.Grid.over_box((0, 0, 4, 3), 0.5)
 TWO = [((0, 0), (2, 0)), ((0, 0), (1, 1))]

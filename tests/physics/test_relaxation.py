@@ -11,8 +11,7 @@ from deep_contact.physics.contact_solver import apply_impulses
 from deep_contact.physics.engine import step_problem
 from deep_contact.physics.load import with_a_past
 from deep_contact.physics.relaxation import at_rest, largest_eigenvalue, relative_velocity
-from deep_contact.studies.no_past import without_past
-from deep_contact.studies.piles import packed_pile, rms_speed
+from deep_contact.studies.piles import packed_pile, rms_speed, without_past
 
 
 @pytest.fixture(scope="module")

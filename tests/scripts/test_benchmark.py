@@ -1,20 +1,18 @@
 """The benchmarks run, on small piles, and their files have what the documentation's tables read."""
 
-import json
-
 import numpy as np
 import pytest
 from conftest import load_script
+
+from deep_contact.reporting import figures
 
 benchmark = load_script("benchmark")
 
 
 @pytest.fixture
 def run(tmp_path):
-    def run(name, *arguments):
-        path = tmp_path / f"{name}.json"
-        benchmark.main([name, *map(str, arguments), "--out", str(path)])
-        return json.loads(path.read_text(encoding="utf-8"))
+    def run(name, **options):
+        return figures.produce(benchmark.FIGURES[name], options=options, quick=True, out=tmp_path)
 
     return run
 
@@ -24,7 +22,7 @@ def test_engines_are_compared(run):
     pytest.importorskip("Box2D")
     pytest.importorskip("pymunk")
     pytest.importorskip("pyb2d3")
-    found = run("engine", "--sizes", 20, "--repeats", 1, "--quick")
+    found = run("engine", sizes=[20], repeats=1)
     assert [case["kind"] for case in found["data"]["cases"]] == ["settled", "falling"]
     for case in found["data"]["cases"]:
         assert set(case["engines"]) == set(benchmark.ENGINES)
@@ -34,7 +32,7 @@ def test_engines_are_compared(run):
 
 
 def test_steps_are_timed_as_users_run_them(run):
-    found = run("step", "--sizes", 20, "--repeats", 1, "--quick")["data"]
+    found = run("step", sizes=[20], repeats=1)["data"]
     assert [row["kind"] for row in found["runs"]] == ["settled", "falling"]
     assert all(us > 0 for row in found["runs"] for us in row["us"].values())
     assert set(found["many"]["us"]) == {"bare", "one core", "all cores"}

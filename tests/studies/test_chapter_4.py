@@ -10,6 +10,8 @@ from conftest import load_script
 from deep_contact.reporting import figures, results
 from deep_contact.studies import chapter_4 as worked
 
+neuron, backpropagation = load_script("figure_4_4"), load_script("figure_4_7")
+
 
 @pytest.fixture(scope="module")
 def keras():
@@ -19,9 +21,9 @@ def keras():
 # ---- Eq 4.1-4.4, pooling, dropout ----
 
 
-@pytest.mark.parametrize("name", worked.ACTIVATIONS)
+@pytest.mark.parametrize("name", neuron.ACTIVATIONS)
 def test_derivatives_of_activations_against_finite_differences(name):
-    function, derivative = worked.ACTIVATIONS[name]
+    function, derivative = neuron.ACTIVATIONS[name]
     x, eps = np.linspace(-3, 3, 31) + 0.05, 1e-6  # away from ReLU's corner
     np.testing.assert_allclose(derivative(x), (function(x + eps) - function(x - eps)) / (2 * eps), atol=1e-8)
 
@@ -38,13 +40,13 @@ def example():
 @pytest.mark.parametrize(("weights", "gradient"), [("w_output", "output"), ("w_hidden", "hidden")])
 def test_eq_4_13_and_4_17_against_finite_differences(example, weights, gradient):
     """L is quadratic in each weight, so central differences are exact but for rounding, 1e-16 / eps."""
-    found, eps = worked.backpropagate(**example)[gradient], 1e-4
+    found, eps = backpropagation.backpropagate(**example)[gradient], 1e-4
     for index in np.ndindex(found.shape):
         losses = []
         for sign in (1, -1):
             moved = example[weights].copy()
             moved[index] += sign * eps
-            losses.append(worked.backpropagate(**(example | {weights: moved}))["loss"])
+            losses.append(backpropagation.backpropagate(**(example | {weights: moved}))["loss"])
         assert found[index] == pytest.approx((losses[0] - losses[1]) / (2 * eps), abs=1e-9)
 
 
@@ -65,7 +67,7 @@ def test_feature_maps_are_what_the_first_convolution_gives_by_eq_4_1(network):
     maps = worked.feature_maps(network, image, ["convolution_1_1"])["convolution_1_1"]
     kernel, bias = network.get_layer("convolution_1_1").get_weights()
     padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))  # border mode "same"
-    right = worked.relu(worked.correlate(padded, kernel[..., 7]) + bias[7])
+    right = worked.relu(load_script("figure_4_2").correlate(padded, kernel[..., 7]) + bias[7])
     np.testing.assert_allclose(maps[..., 7], right, atol=1e-5)  # float32
 
 

@@ -9,6 +9,7 @@ from conftest import load_script
 
 import deep_contact as dc
 from deep_contact import parallel
+from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec
 from deep_contact.reporting import results
@@ -21,7 +22,7 @@ from deep_contact.warm_start import Builtin, NoStart, Sph
 def network(tmp_path_factory):
     """The file of a network on images: λ_n is 2 m at each node, λ_t m, in kg to N·s."""
     keras = pytest.importorskip("keras")
-    chapter_5.one_thread()
+    one_thread()
     from deep_contact.cnn import model_file
 
     model = keras.Sequential([keras.Input((None, None, 5)), keras.layers.Conv2D(2, 1)])
@@ -38,7 +39,7 @@ def network(tmp_path_factory):
 def test_table_5_1_differs_from_the_thesis_by_its_two_misprints_alone():
     pytest.importorskip("keras")
     script = load_script("table_5_1")
-    printed = [{"kind": kind, "shape": list(shape)} for kind, shape in chapter_5.PRINTED_LAYERS]
+    printed = [{"kind": kind, "shape": list(shape)} for kind, shape in script.PRINTED_LAYERS]
     data = {"built": chapter_5.thesis_layers(), "printed": printed}
     assert [claim.holds for claim in script.claims(data)] == [False, True]
     changed = copy.deepcopy(data)
@@ -48,9 +49,10 @@ def test_table_5_1_differs_from_the_thesis_by_its_two_misprints_alone():
 
 def test_table_5_2_differs_from_the_thesis_by_its_kernels_alone():
     pytest.importorskip("keras")
-    built = chapter_5.thesis_hyperparameters()
-    assert list(built) == list(chapter_5.PRINTED_HYPERPARAMETERS)
-    claims = load_script("table_5_2").claims({"printed": chapter_5.PRINTED_HYPERPARAMETERS, "built": built})
+    script = load_script("table_5_2")
+    built, printed = script.thesis_hyperparameters(), script.PRINTED_HYPERPARAMETERS
+    assert list(built) == list(printed)
+    claims = script.claims({"printed": printed, "built": built})
     assert [claim.holds for claim in claims] == [False, True]
     assert list(claims[0].measured) == ["Kernel size"]
 
@@ -91,13 +93,13 @@ def test_a_network_can_be_compared_like_any_other_start(network):
 
 def test_a_network_read_as_its_authors_did_gives_each_node_to_its_contacts(falling_states, network):
     state, path = falling_states[5], str(network)
-    start = pickle.loads(pickle.dumps(chapter_5.ReadBySharing(path)))  # as it goes to another process
+    start = pickle.loads(pickle.dumps(load_script("figure_5_9").ReadBySharing(path)))  # as it goes to another process
     image, shared = dc.load_model(path).predict_image(state), Sph(spacing=0.5, transfer="shared")
     normal, _ = shared.gather(state, image.astype(float))
     found = start(state, dc.PGS())
     np.testing.assert_allclose(found[0], np.maximum(normal, 0.0))
     assert np.all(np.abs(found[1]) <= state.world.friction * found[0] + 1e-12)
-    assert not np.allclose(found[0], chapter_5.start_of({"model": path})(state, dc.PGS())[0])
+    assert not np.allclose(found[0], starts.start_of({"model": path})(state, dc.PGS())[0])
 
 
 def test_what_the_thesis_says_of_its_network_is_open_and_the_rebuilt_ones_verdict_is_measured():
@@ -127,10 +129,11 @@ def test_the_last_stage_of_a_start_gives_its_impulses(falling_states, network, k
 def test_a_start_that_is_given_up_counts_with_all_its_sweeps(falling_states):
     chosen = {"none": NoStart(), "copy": starts.start_of("copy")}
     timed = {"repeats": 1, "progress": lambda items, **_: items}
-    found = chapter_5.time_to_threshold(falling_states[4:6], chosen, most=2000, **timed)
+    time_to_threshold = load_script("figure_5_10").time_to_threshold
+    found = time_to_threshold(falling_states[4:6], chosen, most=2000, **timed)
     assert all(a >= b for a, b in zip(found["none"]["sweeps"], found["copy"]["sweeps"]))
     assert len(found["none"]["seconds"]["solve"]) == 2
-    few = chapter_5.time_to_threshold(falling_states[4:5], {"none": NoStart()}, most=2, **timed)["none"]
+    few = time_to_threshold(falling_states[4:5], {"none": NoStart()}, most=2, **timed)["none"]
     assert (few["sweeps"], few["missed"]) == ([2], 1)
 
 

@@ -8,8 +8,10 @@ import deep_contact as dc
 from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import step_problem
-from deep_contact.studies import no_past, piles
+from deep_contact.studies import piles
 from deep_contact.warm_start import LearnedSupport
+
+no_past = load_script("figure_6_14")
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +63,7 @@ def test_the_state_that_is_judged_carries_nothing_and_its_references_solve_it(pi
 def test_time_to_an_error_is_interpolated_between_sweeps_and_counts_the_start():
     of_pile = {"contacts": 20, "after": [10, 20], "errors": {"a": {"s": [0.4, 0.1]}, "b": {"s": [0.9, 0.3]}}}
     timed = {"contacts": 10, "price": {"s": 5.0}, "sweeps": {"a": [1.0, 1.0], "b": [0.0, 0.1]}}
-    one, other = no_past.curves(of_pile, timed, "s")
+    one, other = no_past.curves_of(of_pile, timed, "s")
     assert no_past.time_to(one, 0.1) == pytest.approx(2 * (5 + 1 + 20))
     assert no_past.time_to(other, 0.3) == pytest.approx(2 * (5 + 2))
     half = no_past.time_to(one, 0.2)  # halfway in the logarithm
@@ -76,7 +78,7 @@ def test_the_data_are_solved_states_that_start_from_the_support(tmp_path):
     (path,) = tmp_path.iterdir()
     stored = dc.cnn.read_simulation(path)
     state = stored.state(stored.count - 1)
-    normal, tangent = dc.warm_start.Support()(no_past.without_past(state), None)
+    normal, tangent = dc.warm_start.Support()(piles.without_past(state), None)
     np.testing.assert_array_equal(state.contacts.normal_start, normal)
     np.testing.assert_array_equal(state.contacts.tangent_start, tangent)
     written = path.stat().st_mtime_ns

@@ -11,7 +11,7 @@ import deep_contact as dc
 from deep_contact import peers, trade
 from deep_contact.constants import TIME_STEP
 from deep_contact.presets import PRESETS
-from deep_contact.reporting import results
+from deep_contact.reporting import figures, results
 from deep_contact.run_errors import SETTLED, observation
 from deep_contact.studies import runs
 from deep_contact.studies.parts import done
@@ -23,7 +23,9 @@ FINE, PEER = COARSE | {"dt": TIME_STEP / 2}, {"engine": "pymunk", "sweeps": 4, "
 
 def observed(kind, n_bodies, seed, setting, seconds):
     """What is read of the stored observation of a run, which is the same every time."""
-    stored, again = (results.plain(runs.observed(kind, n_bodies, seed, setting, seconds=seconds)) for _ in range(2))
+    stored, again = (
+        results.plain(runs.observed(runs.scene, kind, n_bodies, seed, setting, seconds=seconds)) for _ in range(2)
+    )
     assert stored == again
     return observation(json.loads(json.dumps(stored)))
 
@@ -131,7 +133,7 @@ def test_scenes_are_observed(kind):
 
 def test_a_step_that_misses_the_observations_is_refused():
     with pytest.raises(ValueError, match="dt: expected"):
-        runs.observed("plain", 30, 1, COARSE | {"dt": 0.02}, seconds=1.0)
+        runs.observed(runs.scene, "plain", 30, 1, COARSE | {"dt": 0.02}, seconds=1.0)
 
 
 @pytest.mark.parametrize("damage", [b"", b'{"k": ', b"\xff\x00", b"\0" * 8])
@@ -145,60 +147,58 @@ def test_a_damaged_part_of_a_study_is_computed_again(tmp_path, damage):
 
 
 def test_fewer_seeds_than_the_reference_meet_its_runs_of_the_same_scenes(tmp_path, monkeypatch):
-    script = load_script("run_tradeoff")
-
-    def run(kind, n_bodies, seed, setting, seconds):
+    def run(make, kind, n_bodies, seed, setting, **_):
         seen = {name: np.full(30, 1.0 + seed % 1000) for name in ("kinetic", "height", "speed", "contacts")}
         seen |= {"penetration": np.zeros((30, 3)), "force": np.ones(29), "loads": None, "interval": 0.1}
         return results.plain(seen | {"quantities": {}})
 
-    monkeypatch.setattr(script, "FUNCTIONS", {"observed": run, "timed": lambda **_: 7.0})
-    more = {"settings": {"20": []}, "seeds": {"20": {"plain": 9}}}
-    more |= {"ladders": {"20": [COARSE]}, "ladder_seeds": {"20": 3}}
-    options = {"seed": 0, "jobs": 1, "work": tmp_path, "errors_only": False}
-    (row,) = (row for row in script.study(tiny(script, **more), **options)["rows"] if row["errors"])
+    monkeypatch.setattr(runs, "observed", run)
+    monkeypatch.setattr(runs, "timed", lambda make, **_: 7.0)
+    cases = {("plain", 20, "reference"): (runs.REFERENCE, 9), ("plain", 20, "coarse"): (COARSE, 3)}
+    common = {"seed": 0, "seconds": 1.0, "work": tmp_path}
+    rows = runs.observed_rows(runs.scene, cases, **common, jobs=1)
+    reference, row = runs.timed_rows(runs.scene, rows, {("plain", 20, "coarse"): 1}, **common)
+    assert (reference["errors"], reference["us"]) == (None, None)
     assert (row["seeds"], row["us"], row["times"]) == (3, 7.0, [7.0])
     assert row["errors"]["energy"] == (0.0, 0.0, 0.0)
 
 
-def tiny(script, **changes):
-    """The settings of a quick run of the script, made smaller."""
-    small = {"sizes": [20], "seeds": {"20": {"plain": 2}}, "seconds": 1.0, "peers": {"20": []}, "ladders": {"20": []}}
-    return script.QUICK | small | {"ladder_seeds": {"20": 2}, "peer_seeds": {"20": 2}} | changes
-
-
-def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys):
+@pytest.fixture
+def study(tmp_path, monkeypatch):
+    """A function: the results of a small study of these settings, and the script."""
     script = load_script("run_tradeoff")
-    settings = {"20": [runs.REFERENCE, COARSE, {"method": "NNCG", "sweeps": 2, "dt": TIME_STEP}]}
-    monkeypatch.setattr(script, "QUICK", tiny(script, settings=settings))
+    seeds = {"seeds": {"20": {"plain": 2}}, "ladder_seeds": {"20": 2}, "peer_seeds": {"20": 2}}
+
+    def run(settings, work="work", **options):
+        lists = {name: {"20": settings if name == "settings" else []} for name in script.LISTS}
+        monkeypatch.setattr(script, "LISTS", lists)
+        options = seeds | {"seconds": 1.0, "work": str(tmp_path / work)} | options
+        return figures.produce(script.FIGURE, options=options, quick=True, out=tmp_path)
+
+    return run, script
+
+
+def test_the_script_installs_what_recommend_reads(study, tmp_path, monkeypatch):
+    run, script = study
+    found = run([COARSE, {"method": "NNCG", "sweeps": 2, "dt": TIME_STEP}])
+    names = {row["name"] for row in found["data"]["rows"]}
+    assert names == {"PGS, 20 sweeps, Δt / 16", "PGS, 3 sweeps, Δt", "NNCG, 2 sweeps, Δt"}
     monkeypatch.setattr(script, "TABLE", tmp_path / "runs.json")
-    out = tmp_path / "study.json"
-    arguments = ["--quick", "--install", "--jobs", "1", "--out", str(out), "--work", str(tmp_path / "work")]
-    script.main(arguments)
-    assert "rows in study.json" in capsys.readouterr().out
-    rows = results.read_results(out)["data"]["rows"]
-    assert {row["name"] for row in rows} == {"PGS, 20 sweeps, Δt / 16", "PGS, 3 sweeps, Δt", "NNCG, 2 sweeps, Δt"}
+    monkeypatch.setattr(results, "REFERENCE", tmp_path)
+    script.install()
     table = json.loads((tmp_path / "runs.json").read_text())
     monkeypatch.setattr("deep_contact.presets.installed", lambda: table)
-    found = dc.recommend(dc.circles_in_box(20), accuracy="preview")
-    assert found.us > 0
+    assert dc.recommend(dc.circles_in_box(20), accuracy="preview").us > 0
     assert {setting["name"] for setting in table["settings"]} == {"PGS, 3 sweeps, Δt", "NNCG, 2 sweeps, Δt"}
 
 
-def test_the_script_adds_settings_to_its_results(tmp_path, monkeypatch):
-    script = load_script("run_tradeoff")
-    colours = {"method": "BatchedPGS", "sweeps": 3, "dt": TIME_STEP}
-    settings = [runs.REFERENCE, COARSE, COARSE | {"method": "PSOR"}]
-    small = tiny(script, settings={"20": settings})
-    monkeypatch.setattr(script, "QUICK", small)
-    out = tmp_path / "study.json"
-    arguments = ["--quick", "--jobs", "1", "--out", str(out), "--work"]
-    script.main([*arguments, str(tmp_path / "first")])
-    before = {row["name"]: row for row in results.read_results(out)["data"]["rows"]}
-    monkeypatch.setattr(script, "QUICK", small | {"settings": {"20": [*settings, colours]}})
-    script.main([*arguments, str(tmp_path / "second"), "--add"])
-    found = results.read_results(out)
-    assert found["options"]["errors_from"] == [found["provenance"]["commit"]]
+def test_the_script_adds_settings_to_its_results(study, tmp_path, monkeypatch):
+    run, _ = study
+    settings = [COARSE, COARSE | {"method": "PSOR"}]
+    before = {row["name"]: row for row in run(settings)["data"]["rows"]}
+    monkeypatch.setattr(results, "REFERENCE", tmp_path)
+    found = run([*settings, COARSE | {"method": "BatchedPGS"}], work="second", add=True)
+    assert found["data"]["errors_from"] == [found["provenance"]["commit"]]
     after = {row["name"]: row for row in found["data"]["rows"]}
     observed = [path for path in (tmp_path / "second").iterdir() if path.name.startswith("observed")]
     assert len(observed) == 2 * 2  # of the reference and of what is new, by two seeds
@@ -207,6 +207,5 @@ def test_the_script_adds_settings_to_its_results(tmp_path, monkeypatch):
         assert after[name]["errors"] == row["errors"]
         assert row["setting"] == runs.REFERENCE or after[name]["us"] > 0
     assert after["BatchedPGS, 3 sweeps, Δt"]["errors"]["energy"]
-    monkeypatch.setattr(script, "QUICK", small | {"seconds": 2.0})
-    with pytest.raises(ValueError, match="seconds: expected"):
-        script.main([*arguments, str(tmp_path / "third"), "--add"])
+    with pytest.raises(ValueError, match=r"seconds, seed: expected \(1.0, 0\)"):
+        run(settings, add=True, seconds=2.0)
