@@ -3,8 +3,9 @@
 A list of scenes and settings, which `studies.runs` runs, times and judges. Every finished part is stored in the work
 folder, so an interrupted study of one commit goes on where it stopped. Several processes compute errors; then one
 measures times: `--set timed=false` leaves these out, for a machine that is not quiet. `--set add=true` takes over the
-errors that data/reference has, and measures what it lacks, and all times. `--install` alone judges the stored settings by known
-answers and makes their numbers those that `dc.simulate` and `dc.recommend` read. Figures 6.1, 6.2 and 6.11 draw them.
+errors that data/reference has, and measures what it lacks, and all times. `--install` alone judges the stored settings
+by known answers and makes their numbers those that `dc.simulate` and `dc.recommend` read. Figures 6.1, 6.2 and 6.11
+draw them.
 """
 
 from __future__ import annotations

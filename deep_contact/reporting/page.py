@@ -59,7 +59,7 @@ def _content(path: Path) -> dict:
     """Content of the page for a results file. Raises ResultsError where it cannot be read."""
     entry, reference, picture = results.read_results(path), results.reference(path.stem), path.with_suffix(".png")
     made, is_full = entry["provenance"], reference and reference["options"] == entry["options"]
-    run = {key: value for key, value in made.items() if key not in ("packages", "seed", "inputs", "code")}
+    run = {key: value for key, value in made.items() if key not in ("packages", "seed", "inputs", "code", "drawn")}
     return entry | {
         "claims": [_judged(claim, None if is_full else reference) for claim in entry["claims"]],
         "full": is_full,
