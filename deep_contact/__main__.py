@@ -32,7 +32,7 @@ COMMANDS = {
 SCENES = ("circles_in_box", "lattice_in_box", "drifting_circles", "hopper", "terrain", "drum")
 """What `trade --scene` makes of numbers of circles and seeds."""
 
-DIVERGED, BAD_FILE, NO_PACKAGE, INTERRUPTED = 1, 3, 4, 130
+DIVERGED, BAD_ARGUMENTS, BAD_FILE, NO_PACKAGE, INTERRUPTED = 1, 2, 3, 4, 130
 
 STATUS = """all values are in SI units, impulses in N·s; the settings of a figure are in `figure 3.7 --help`.
 exit status: 0 done, 1 the solver diverged, 2 bad arguments, 3 a file that cannot be read or written, 4 a package that
@@ -57,9 +57,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # of `deep-contact figure | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more
         return 0
-    except (FloatingPointError, OSError, FileError) as error:
+    except (FloatingPointError, OSError, FileError, MemoryError) as error:
         print(f"{parser.prog} {name}: {error}", file=sys.stderr)
-        return DIVERGED if isinstance(error, FloatingPointError) else BAD_FILE
+        return status_of(error)
     except ValueError as error:
         commands[name].error(str(error))
     except KeyboardInterrupt:
@@ -71,6 +71,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         print(f"{words}: {error}", file=sys.stderr)
         return NO_PACKAGE
+
+
+def status_of(error: Exception) -> int:
+    """The exit status that an error stands for, see `STATUS`."""
+    kinds = {ArithmeticError: DIVERGED, ModuleNotFoundError: NO_PACKAGE, OSError: BAD_FILE, FileError: BAD_FILE}
+    return next((status for kind, status in kinds.items() if isinstance(error, kind)), BAD_ARGUMENTS)
 
 
 def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:

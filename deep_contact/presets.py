@@ -241,7 +241,7 @@ def installed() -> dict:
 def longest_step(scene: State, dt: float) -> float:
     """The time step, s, that is to a scene what `dt` is to circles of r = 1 m under 9.81 m/s²."""
     bodies = scene.bodies
-    radius, gravity = float(bodies.radius.mean()), float(np.hypot(*scene.world.gravity))
+    radius, gravity = mean(bodies.radius), float(np.hypot(*scene.world.gravity))
     speed = max(math.sqrt(gravity * radius), _fastest(scene) / FASTEST)
     return math.inf if speed == 0 else dt * math.sqrt(-GRAVITY[1]) * radius / speed
 
@@ -408,8 +408,8 @@ def outside(scene: State) -> list[str]:
     """Sentences on what of a scene lies outside the study; none where nothing does."""
     bodies, world, sizes, count = scene.bodies, scene.world, installed()["sizes"], scene.bodies.count
     radius, mass, speed = bodies.radius, bodies.mass / bodies.radius**2, _fastest(scene)
-    fastest = FASTEST * math.sqrt(math.hypot(*world.gravity) * radius.mean())
-    radii, densities = radius.max() / radius.min(), mass.max() / mass.min()
+    fastest = FASTEST * math.sqrt(math.hypot(*world.gravity) * mean(radius))
+    radii, densities = (values.max(initial=0.0) / values.min(initial=math.inf) for values in (radius, mass))
     missing, stiff = ", ".join(sorted(set(kinds_of(scene)) - _kinds_near(count))), stiffness(scene)
     price = "the cost is that of all sweeps, of which a scene at rest needs few, and the errors are those of the"
     sentences = {

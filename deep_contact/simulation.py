@@ -27,7 +27,7 @@ from deep_contact.running import run
 from deep_contact.state import State, StateWithContacts, notebook
 from deep_contact.state.checks import check_types, checked_indices
 from deep_contact.trajectory import Trajectory
-from deep_contact.validation import expect, flag, integer, number, one_of
+from deep_contact.validation import brief, expect, flag, integer, number, one_of
 from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
 
 
@@ -77,6 +77,7 @@ class Simulation(NamedTuple):
         """
         recorded, world = self.trajectory, self.state.world
         if part in SIDES:
+            expect(index is None, f"index: expected none of the {part}, got {brief(index)}")
             part, index = "wall", SIDES.index(part)
         count = {"wall": 4, "segment": len(world.segments), "circle": self.state.bodies.count}
         chosen = checked_indices("index", index, count[one_of("part", part, (*SIDES, "segment", "circle", "wall"))])

@@ -290,6 +290,7 @@ class Trade:
         """The row of `choose`."""
         mine = [row for row in self.rows if row["us"] and row["group"] not in peers.ENGINES]
         expect(mine, "trade: expected a setting that was measured, got none; see its notes")
+        expect(not (accuracy and tolerances), "choose: expected a preset or tolerances, got both")
         known = {name for row in mine for name, error in row["errors"].items() if error}
         for name, most in tolerances.items():
             number(one_of("tolerances", name, sorted(known)), most, above=0)
@@ -522,7 +523,9 @@ def _checked(steps, minutes, seeds, quantities, jobs) -> tuple[list[int], dict[s
         except (AttributeError, pickle.PicklingError, TypeError) as error:
             raise ValueError(f"quantities: expected functions of a module for jobs={jobs}, got {error}") from None
     several = range(integer("seeds", seeds, least=1)) if isinstance(seeds, int) else seeds
-    return [integer("seeds", seed) for seed in several], quantities
+    numbers = [integer("seeds", seed) for seed in several]
+    expect(numbers and len(set(numbers)) == len(numbers), f"seeds: expected different numbers, got {brief(numbers)}")
+    return numbers, quantities
 
 
 def _is_timed(trade: Trade, name: str, i: int) -> bool:

@@ -14,7 +14,7 @@ from numbers import Integral, Real
 import numpy as np
 
 _SHORT = reprlib.Repr()
-_SHORT.maxstring = _SHORT.maxother = _SHORT.maxlong = 120
+_SHORT.maxstring = _SHORT.maxother = 120
 
 
 def brief(value) -> str:
@@ -38,9 +38,9 @@ def refuse_where(bad: np.ndarray, name: str, values: np.ndarray, expected: str) 
 def integer(name: str, value, least: int = 0, most: int | None = None) -> int:
     """`value` as an int from `least` to `most`, both included. A bool, and a float such as 2.0, is not an integer."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
-        raise ValueError(f"{name}: expected an integer >= {least}, got {value!r}")
+        raise ValueError(f"{name}: expected an integer >= {least}, got {brief(value)}")
     if most is not None and value > most:
-        raise ValueError(f"{name}: expected an integer <= {most}, got {value!r}")
+        raise ValueError(f"{name}: expected an integer <= {most}, got {brief(value)}")
     return int(value)
 
 
@@ -55,7 +55,7 @@ def number(name: str, value, low=None, high=None, *, above=None, below=None) -> 
     if not (math.isfinite(checked) and is_above and is_below):
         limits = {">=": low, ">": above, "<=": high, "<": below}
         expected = " and".join(f" {sign} {limit}" for sign, limit in limits.items() if limit is not None)
-        raise ValueError(f"{name}: expected a finite number{expected}, got {value!r}")
+        raise ValueError(f"{name}: expected a finite number{expected}, got {brief(value)}")
     return checked
 
 
@@ -65,18 +65,32 @@ def several(name: str, values, count: int, *, check=number, expected: str = "fin
         checked = tuple(check(name, value) for value in values)
     except (TypeError, ValueError):
         checked = ()
-    expect(len(checked) == count, f"{name}: expected {count} {expected}, got {values!r}")
+    expect(len(checked) == count, f"{name}: expected {count} {expected}, got {brief(values)}")
     return checked
 
 
-def floats(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
-    """`value` as a new float64 array of finite numbers of this shape; complex ones are refused, as NumPy cuts them."""
+def real_numbers(value) -> np.ndarray | None:
+    """`value` as a new float64 array; None where it is not real numbers alone.
+
+    NumPy converts text, dates and the hidden values of masked arrays without a word, and cuts complex numbers.
+    """
+    if any(map(np.ma.is_masked, value if isinstance(value, (list, tuple)) else [value])):
+        return None
     try:
-        array = np.array(value, dtype=np.float64, order="C") if not np.iscomplexobj(value) else None
+        array = np.asarray(value)
+        mixed = array.flat if array.dtype == object else ()
+        if array.dtype.kind not in "biufO" or any(one is None or isinstance(one, (str, bytes)) for one in mixed):
+            return None
+        return np.array(array, np.float64, order="C")
     except (ValueError, TypeError, OverflowError):
-        array = None
-    if value is None or array is None or array.shape != shape:
-        got = reprlib.repr(value) if value is None or array is None else f"shape {array.shape}"
+        return None
+
+
+def floats(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
+    """`value` as a new float64 array of finite numbers of this shape."""
+    array = real_numbers(value)
+    if array is None or array.shape != shape:
+        got = brief(value) if array is None else f"shape {array.shape}"
         raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {got}")
     refuse_where(~np.isfinite(array), name, array, "a finite number")
     return array
@@ -86,7 +100,7 @@ def flag(name: str, value) -> bool:
     """`value` as a bool; NumPy's bools are accepted, integers are not."""
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
-    raise ValueError(f"{name}: expected True or False, got {value!r}")
+    raise ValueError(f"{name}: expected True or False, got {brief(value)}")
 
 
 def one_of(name: str, value, known: Collection):
@@ -99,4 +113,4 @@ def one_of(name: str, value, known: Collection):
     names = {str(one).lower(): one for one in known}
     near = difflib.get_close_matches(value.lower(), names, 1) if isinstance(value, str) else ()
     hint = "".join(f"; did you mean {names[one]!r}?" for one in near)
-    raise ValueError(f"{name}: expected one of {', '.join(map(str, known))}, got {value!r}{hint}")
+    raise ValueError(f"{name}: expected one of {', '.join(map(str, known))}, got {brief(value)}{hint}")

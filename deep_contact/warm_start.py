@@ -21,7 +21,7 @@ from deep_contact.physics.engine import StepProblem, solve, step_problem
 from deep_contact.physics.support import supported
 from deep_contact.state import LARGEST_START, State, StateWithContacts
 from deep_contact.state.scales import ContactScales
-from deep_contact.validation import expect, integer, one_of
+from deep_contact.validation import brief, expect, integer, one_of, real_numbers
 
 if TYPE_CHECKING:
     from deep_contact.cnn.inference import LearnedModel
@@ -272,7 +272,7 @@ def warm_start_of(start: Start) -> WarmStart:
         return Cnn(start)
     if start is None or isinstance(start, str):
         return STARTS[one_of("warm_start", "none" if start is None else start, STARTS)]()
-    raise ValueError(f"warm_start: expected None, a name, a network, its path or a callable, got {start!r}")
+    raise ValueError(f"warm_start: expected None, a name, a network, its path or a callable, got {brief(start)}")
 
 
 def starting_impulses(
@@ -295,9 +295,11 @@ def starting_impulses(
         else:
             start = start(state, solver)
     try:
-        normal, tangent = (np.array(values, dtype=np.float64, order="C") for values in start)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"start: expected two arrays of impulses (normal, tangent), got {start!r}") from error
+        normal, tangent = map(real_numbers, start)
+    except (TypeError, ValueError):
+        normal = tangent = None
+    if normal is None or tangent is None:
+        raise ValueError(f"start: expected two arrays of impulses (normal, tangent), got {brief(start)}")
     m = state.contacts.count
     for name, values in (("normal", normal), ("tangent", tangent)):
         expected = f"start: expected {name} impulses of"

@@ -23,6 +23,7 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact import constants, parallel
+from deep_contact.__main__ import BAD_FILE, INTERRUPTED, status_of
 from deep_contact.cnn.dataset import PHASES, phase, simulation_path
 from deep_contact.io import simulation_h5
 from deep_contact.io.simulation_h5 import DataFileError, simulation_info
@@ -205,11 +206,10 @@ def main(arguments=None) -> int:
             parallel.parallel_map(write_xml, jobs, text="XML", **spread)
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
-        return 130
+        return INTERRUPTED
     except (OSError, RuntimeError, ValueError) as error:
-        # A full disk is an OSError or, from within HDF5, a RuntimeError.
         print(f"{args.out}: {error}", file=sys.stderr)
-        return 1
+        return BAD_FILE if isinstance(error, RuntimeError) else status_of(error)  # of HDF5, on a full disk
     states = sum(simulation_info(job.path).count for job in jobs)
     size = sum(job.path.stat().st_size for job in jobs)
     seconds = time.perf_counter() - begin

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import argparse
 import csv
+import sys
 from pathlib import Path
 
 import numpy as np
 
 import deep_contact as dc
+from deep_contact.__main__ import status_of
 from deep_contact.cnn.backend import limit_threads
 from deep_contact.cnn.evaluation import SWEEPS, velocity_errors
 from deep_contact.cnn.inference import load_model, model_of
@@ -100,17 +102,17 @@ def main(argv=None) -> int:
     try:
         limit_threads(1)
         model = load_model(args.model) if args.model else None
+        args.out.mkdir(parents=True, exist_ok=True)
     except (ModuleNotFoundError, OSError, ValueError) as error:
-        parser.exit(4 if isinstance(error, ModuleNotFoundError) else 2, f"{parser.prog}: {error}\n")
-    args.out.mkdir(parents=True, exist_ok=True)
-    bad = 0
+        parser.exit(status_of(error), f"{parser.prog}: {error}\n")
+    status = 0
     for path in args.states:
         try:
             print("\n".join(predict_file(path, model, args.out, pictures=not args.no_pictures)))
         except (OSError, ValueError) as error:
-            bad += 1
-            print(f"{parser.prog}: {error}")
-    return 1 if bad else 0
+            status = status_of(error)
+            print(f"{parser.prog}: {error}", file=sys.stderr)
+    return status
 
 
 if __name__ == "__main__":

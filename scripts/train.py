@@ -22,6 +22,7 @@ import typing
 from dataclasses import fields
 from pathlib import Path
 
+from deep_contact.__main__ import INTERRUPTED, status_of
 from deep_contact.cnn.training.config import CONFIGS, TrainingConfig, config_of
 
 QUICK_DATA = "--simulations 12 --steps 250 --bodies 40 60 --seed 1 --jobs 1".split()
@@ -97,7 +98,7 @@ def run(data, out, quick, **changes) -> None:
         print(f"{data}: short simulations, about 8 MB", flush=True)
         made = [sys.executable, Path(__file__).with_name("generate_data.py"), "--out", data, *QUICK_DATA]
         if subprocess.run(made).returncode:
-            raise RuntimeError(f"{data}: expected simulations, got none")
+            raise OSError(f"{data}: expected simulations, got none")
     data = Store(data or "data/generated").folder  # before TensorFlow, which takes seconds to load
     from deep_contact.cnn.backend import keras
     from deep_contact.cnn.training import train
@@ -123,10 +124,10 @@ def main(argv=None) -> int:
         run(**parsed)
     except KeyboardInterrupt:
         print("\ntrain: stopped; the same command goes on after the last whole epoch", file=sys.stderr)
-        return 130
-    except (ModuleNotFoundError, OSError, ValueError, ArithmeticError, RuntimeError) as error:
+        return INTERRUPTED
+    except (ModuleNotFoundError, OSError, ValueError, ArithmeticError, RuntimeError, MemoryError) as error:
         print(f"train: {error}", file=sys.stderr)
-        return 4 if isinstance(error, ModuleNotFoundError) else 1  # 4: see deep_contact.__main__.STATUS
+        return status_of(error)
     return 0
 
 

@@ -238,3 +238,26 @@ def test_the_samples_are_named_by_their_paths(capsys):
     assert capsys.readouterr().out == f"{dc.sample_file('rest_530')}\n"
     assert main(["sample"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 6
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "said"),
+    [
+        (["simulate", "--steps", "100000000000"], 2, "simulate: "),
+        (["predict", "missing.xml"], 3, "missing.xml"),
+        (["predict", "spoilt.xml"], 3, "spoilt.xml, line 1"),
+        (["predict", "spoilt.xml", "--out", "spoilt.xml"], 3, "spoilt.xml"),
+        (["predict", "spoilt.xml", "--model", "spoilt.xml"], 3, "spoilt.xml"),
+        (["generate-data", "--quick", "--out", "spoilt.xml/data"], 3, "spoilt.xml"),
+        (["generate-data", "--quick", "--steps", "1", "--simulations", "1", "--out", "data"], 2, "steps: expected"),
+        (["train", "--data", "missing"], 3, "missing: expected files"),
+        (["train", "--data", "missing", "--epochs", "0"], 2, "epochs: expected"),
+    ],
+)
+def test_the_exit_status_of_a_script_is_the_guide_s(words, status, said, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    Path("spoilt.xml").write_text("spoilt", encoding="utf-8")
+    assert main(words) == status
+    error = capfd.readouterr().err
+    assert said in error
+    assert "Traceback" not in error

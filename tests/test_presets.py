@@ -304,3 +304,20 @@ def test_a_pile_at_rest_stays_as_it_is(accuracy):
     assert np.ptp(heights) < 0.1 * settled.scales.slop
     assert max(speeds) < 0.1 * settled.scales.sleep_speed
     assert len(set(run.substeps)) == 1
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("world", [{}, {"gravity": (0, 0)}, {"restitution": 0.5, "segments": [((1, 1), (9, 1))]}])
+def test_a_scene_without_circles_warns_of_nothing(world):
+    """An empty box, to be poured into, gave 17 warnings a call, and `recommend` ended in NumPy's "zero-size array"."""
+    scene = dc.State(name="empty", world=dc.World(**world), bodies=dc.make_bodies(np.zeros((0, 2))))
+    assert dc.recommend(scene).outside[0].startswith("0 circles; ")
+    assert presets.decide(scene, None).warnings == ()
+    run = dc.simulate(scene, steps=2, record=1, forces=True)
+    filled = run.state.with_bodies(add=dc.make_bodies([[5.0, 5.0]]))
+    assert dc.simulate(filled, steps=1).state.bodies.count == 1
+    looks = dc.plan, dc.forces, dc.stress, dc.coordination, dc.contact_table, repr, dc.find_contacts, dc.solve_exactly
+    for look in looks:
+        look(run.state)
+    assert run.trajectory.energies.tolist() == [[0.0, 0.0]] * 3
+    dc.plotting.draw_state(dc.plotting.subplots()[1], run.state)

@@ -92,6 +92,8 @@ def test_what_is_chosen_keeps_what_was_asked_at_the_least_cost(pile, tmp_path):
     assert len(trade.plot().axes) == 3
     with pytest.raises(ValueError, match=r"tolerances: expected one of .*top spread, got 'bottom'"):
         trade.choose(bottom=0.1)
+    with pytest.raises(ValueError, match="choose: expected a preset or tolerances, got both"):
+        trade.choose("reference", energy=1.0)
     with pytest.raises(ValueError, match=r"Δt = 0\.01 s, as measured, got 0\.02"):
         dc.simulate(scene.replace(dt=0.02, contacts=None), steps=1, accuracy=trade)
 
@@ -260,6 +262,8 @@ def test_a_setting_that_diverges_is_a_sentence_and_nothing_is_lost(monkeypatch):
         (3, {}, "scene: expected a State or a function of a seed, got 3"),
         (dc.column(2), {"steps": 5}, "steps: expected an integer >= 20, got 5"),
         (dc.column(2), {"minutes": 0}, "minutes: expected"),
+        (dc.column(2), {"seeds": [1, 1, 1]}, r"seeds: expected different numbers, got \[1, 1, 1\]"),
+        (dc.column(2), {"seeds": []}, r"seeds: expected different numbers, got \[\]"),
         (dc.column(2), {"quantities": {"q": 3}}, r"quantities\['q'\]: expected a function of a state, got 3"),
         (dc.column(2), {"quantities": {"q": raises}, "settings": [3]}, "solver: expected options"),
         (dc.two_bodies(speed=0.0), {}, "expected gravity or motion"),

@@ -24,6 +24,14 @@ def test_better_starts_need_fewer_sweeps(falling_states):
     assert sweeps["copy"] < 0.5 * sweeps["builtin"] < 0.5 * sweeps["none"]
 
 
+def test_starts_are_compared_by_their_names(falling_states):
+    found = starts.paired(falling_states[:3], ["none", "builtin"], sweeps=20)
+    same = starts.paired(falling_states[:3], {"none": None, "builtin": Builtin()}, sweeps=20)
+    assert list(found) == ["none", "builtin"]
+    for name, one in same.items():
+        np.testing.assert_array_equal(found[name]["theta"], one["theta"])
+
+
 def test_copy_solves_a_state_that_is_not_solved(falling_states):
     solver, solved = dc.PGS(sweeps=200, tolerance=None), falling_states[5]
     np.testing.assert_array_equal(Copy()(solved, solver)[0], solved.contacts.normal_impulse)

@@ -133,9 +133,9 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepP
     """Describe a state with contacts to the network. symmetry: 0 to 7, as in `images.transform_state`; for training.
 
     problem: the contact problem in float64 with tangents, if it has been built; its rows hold the impulses to correct.
-    Raises ValueError if there is no contact, or contacts have not been searched.
+    Raises ValueError if there is no contact, contacts have not been searched, or the state does not hold together.
     """
-    state = with_contacts(state)
+    state = with_contacts(state) if problem is None else state
     if state.contacts.count == 0:
         raise ValueError("state.contacts: expected at least one contact, got 0")
     rows, free, *_ = step_problem(state) if problem is None else problem

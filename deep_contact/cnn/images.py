@@ -12,6 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from deep_contact.physics.ready import ready
 from deep_contact.sph import Grid, gather, splat
 from deep_contact.state import State, World, native
 from deep_contact.state.checks import check_solution
@@ -134,7 +135,7 @@ def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, np.ndar
 
 
 def with_contacts(state: State) -> State:
-    """The state in this machine's byte order. Raises ValueError where its contacts have not been searched."""
+    """The state, checked. Raises ValueError where its contacts have not been searched, or it does not hold together."""
     if state.contacts is None:
         raise ValueError("state.contacts: expected contacts, got None; `dc.find_contacts(state)` finds them")
-    return native(state)
+    return ready(state)

@@ -69,7 +69,7 @@ class StoredNetwork(NamedTuple):
 
         try:
             kind = {"Functional": keras.Model, "Sequential": keras.Sequential}[self.config["class_name"]]
-            model = kind.from_config(self.config["config"])
+            model = kind.from_config(_in_single_precision(self.config["config"]))
             for layer in model.layers:
                 layer.set_weights(self.weights.get(layer.name, []))
             if unused := self.weights.keys() - {layer.name for layer in model.layers}:
@@ -78,6 +78,12 @@ class StoredNetwork(NamedTuple):
             # Keras raises what it happens to meet: TypeError, KeyError, IndexError …
             raise ModelFileError(f"{self.path}: model_config: Keras cannot build the network ({error})") from error
         return model
+
+
+def _in_single_precision(config: dict) -> dict:
+    """A configuration whose layers compute in float32, whatever Keras's global policy is."""
+    layers = [layer | {"config": layer["config"] | {"dtype": "float32"}} for layer in config["layers"]]
+    return config | {"layers": layers}
 
 
 def weights_of(network) -> dict[str, list[np.ndarray]]:
@@ -251,6 +257,8 @@ def _parsed(text, name):
 
 
 def _metadata(file) -> dict:
+    way = "LearnedModel(source=keras.models.load_model(…), spec=ImageSpec(…)) takes a network of your own"
+    expect(METADATA in file, f"{METADATA}: expected our metadata, got a file without; {way}")
     text = hdf5.dataset(file, METADATA)
     expect(text.shape == (), f"{METADATA}: expected one text, our metadata, got shape {text.shape}")
     metadata = _parsed(text[()], METADATA)

@@ -96,30 +96,36 @@ def _complete_shapes(bodies, contacts: list) -> None:
                 text = contact.attrib.pop(f"{role}_shape")
                 printed.setdefault(read_integer(contact, role), (contact, text))
     for body in bodies:
-        shape = element = _part(body, "shape")
-        text, is_box = shape.get("value", shape.text or "").strip(), body.get("type") == "fixed"
-        if len(shape) or "radius" in shape.attrib:
-            continue
-        if text in (("ground", "box") if is_box else ("circle",)):
-            element, text = printed.get(read_integer(body, "index"), (shape, None))
-        shape.set("value", "box" if is_box else "circle")
-        compact = _compact(element, text or "")
-        if is_box:
-            match = _LOOP.fullmatch(compact)
-            fits = element is not shape or text is None or (match and not _PAIR.sub("", match[1]).strip(","))
-            expect(fits, element, "shape: expected box with four corners, or LoopShape(vertices=[(x, y), …])", text)
-            for x, y in _PAIR.findall(match[1]) if match else ():
-                _add(shape, "corner", x=x, y=y)
-        elif text is not None:
-            match = _CIRCLE.fullmatch(compact)
-            fits = match and not _OFF_CENTRE.search(compact)
-            expect(fits, element, "shape: expected circle, or CircleShape(radius=…) around the centre", text)
-            shape.set("radius", match[1])
-        else:
-            mass, inertia = (to_float(read_text(_part(body, tag), "value")) for tag in ("mass", "inertia"))
-            fits = mass > 0 and inertia > 0 and math.isfinite(inertia / mass)
-            expect(fits, body, "expected mass and inertia > 0, as the shape has no radius", f"{mass}, {inertia}")
-            shape.set("radius", repr(math.sqrt(2 * inertia / mass)))
+        shape, is_box = _part(body, "shape"), body.get("type") == "fixed"
+        if not (len(shape) or "radius" in shape.attrib):
+            _complete_shape(body, shape, is_box, printed)
+        if not is_box and body.find("inertia") is None:  # as in files of 1 to 14 May 2018: a solid disc's
+            mass, radius = to_float(read_text(_part(body, "mass"), "value")), to_float(read_text(shape, "radius"))
+            _add(body, "inertia", value=repr(0.5 * mass * radius * radius))
+
+
+def _complete_shape(body, shape, is_box: bool, printed: dict) -> None:
+    element, text = shape, shape.get("value", shape.text or "").strip()
+    if text in (("ground", "box") if is_box else ("circle",)):
+        element, text = printed.get(read_integer(body, "index"), (shape, None))
+    shape.set("value", "box" if is_box else "circle")
+    compact = _compact(element, text or "")
+    if is_box:
+        match = _LOOP.fullmatch(compact)
+        fits = element is not shape or text is None or (match and not _PAIR.sub("", match[1]).strip(","))
+        expect(fits, element, "shape: expected box with four corners, or LoopShape(vertices=[(x, y), …])", text)
+        for x, y in _PAIR.findall(match[1]) if match else ():
+            _add(shape, "corner", x=x, y=y)
+    elif text is not None:
+        match = _CIRCLE.fullmatch(compact)
+        fits = match and not _OFF_CENTRE.search(compact)
+        expect(fits, element, "shape: expected circle, or CircleShape(radius=…) around the centre", text)
+        shape.set("radius", match[1])
+    else:
+        mass, inertia = (to_float(read_text(_part(body, tag), "value")) for tag in ("mass", "inertia"))
+        fits = mass > 0 and inertia > 0 and math.isfinite(inertia / mass)
+        expect(fits, body, "expected mass and inertia > 0, as the shape has no radius", f"{mass}, {inertia}")
+        shape.set("radius", repr(math.sqrt(2 * inertia / mass)))
 
 
 def _part(body, tag: str):

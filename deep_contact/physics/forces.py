@@ -63,7 +63,8 @@ def sum_forces(body_a, body_b, normal, separation, radius, normal_impulse, tange
     """
     n, m, end = radius.shape[0], body_a.shape[0], radius.shape[0] + 4 + segments
     contact, on, torque = np.empty((m, 2)), np.zeros((end, 2)), np.zeros(n)
-    if not m == body_b.size == normal.shape[0] == separation.size == normal_impulse.size == tangent_impulse.size:
+    fits = m == body_b.size == normal.shape[0] == separation.size == normal_impulse.size == tangent_impulse.size
+    if not fits or normal.shape[1] != 2:
         return contact, on[:0], torque
     for i in range(m):
         a, b, n_x, n_y = body_a[i], body_b[i], normal[i, 0], normal[i, 1]

@@ -15,7 +15,7 @@ from deep_contact.constants import WALL_SKIN
 from deep_contact.state import State, World
 from deep_contact.state.checks import make_bodies
 from deep_contact.state.scales import mean
-from deep_contact.validation import expect, integer, number
+from deep_contact.validation import brief, expect, integer, number, real_numbers
 
 _TRIES = 20_000
 """Draws in a row for one circle before the scene is taken to be full."""
@@ -250,12 +250,9 @@ def _generator(seed) -> np.random.Generator:
 
 def _positive(name: str, values, shapes, expected: str) -> np.ndarray:
     """As float64. Raises ValueError unless they are finite numbers > 0 of one of these shapes."""
-    try:
-        array = np.array(np.nan if np.iscomplexobj(values) else values, np.float64)
-    except (ValueError, TypeError, OverflowError):
-        array = np.array(np.nan)
-    fits = array.shape in shapes and np.isfinite(array).all() and (array > 0).all()
-    expect(fits, f"{name}: expected {expected}, got {values!r}")
+    array = real_numbers(values)
+    if array is None or array.shape not in shapes or not (np.isfinite(array) & (array > 0)).all():
+        raise ValueError(f"{name}: expected {expected}, got {brief(values)}")
     return array
 
 

@@ -34,7 +34,7 @@ from deep_contact.io import provenance
 from deep_contact.parallel import cores, parallel_map, progress_bar, seeds  # noqa: F401 (scripts of users take them from here)
 from deep_contact.reporting import plotting, results, staleness
 from deep_contact.reporting.results import Claim
-from deep_contact.validation import one_of
+from deep_contact.validation import brief, one_of
 
 MEANINGS = json.loads((Path(__file__).parent / "settings.json").read_text(encoding="utf-8"))
 """Name of a setting -> its meaning and unit; "4.2 kernel" is that of Figure 4.2 alone."""
@@ -90,8 +90,14 @@ class Figure:
 
     def beside(self, options: dict) -> dict | None:
         """The reference results beside which a quick run is judged (`results.verdict`); None for any other run."""
-        is_quick = self.quick and options == results.plain(self.options | self.quick)
-        return (results.reference(self.stem) or {"claims": []}) if is_quick else None
+        return (results.reference(self.stem) or {"claims": []}) if "quick" in self.changed(options) else None
+
+    def changed(self, options: dict) -> list[str]:
+        """What of a run is not the figure's own: "quick" where a setting of the quick run is, and other settings."""
+        own, quick = (results.plain(of, where="options") for of in (self.options, self.quick))
+        small = {name: value for name, value in quick.items() if options[name] == value != own[name]}
+        others = [name for name, value in options.items() if value != own[name] and name not in small]
+        return [*(["quick"] if small else []), *(f"{name}={brief(options[name])}" for name in others)]
 
     def settings(self, changes: dict, quick: bool) -> dict:
         """All options of a run, as its results file stores them. Raises ValueError for changes of unknown ones."""
@@ -208,8 +214,8 @@ def _draw(figure: Figure, stored: dict, path: Path) -> None:
             picture = plotting.draw_table(figure.rows(stored["data"]), figure.heading)
         else:
             picture = figure.draw(stored["data"], stored["options"])
-        if figure.beside(stored["options"]) is not None:
-            picture.text(1.0, 0.0, "quick", ha="right", va="bottom", color=plotting.GREY, in_layout=False)
+        if changed := ", ".join(figure.changed(stored["options"])):
+            picture.text(1.0, 0.0, changed, ha="right", va="bottom", color=plotting.GREY, in_layout=False)
         plotting.save(picture, path.with_suffix(".png"))
 
 

@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from deep_contact.compiled import njit
-from deep_contact.validation import expect, number, one_of, refuse_where
+from deep_contact.validation import brief, expect, number, one_of, real_numbers, refuse_where
 
 GAUSSIAN_DECAY = 9.0
 """The Gaussian is exp(-9 q²): the support radius h is 3 √2 standard deviations, σ = 0.2357 h."""
@@ -188,9 +188,7 @@ def as_floats(name: str, array) -> np.ndarray:
     """
     if type(array) is np.ndarray and array.dtype == np.float64 and array.flags.carray:
         return array
-    try:
-        numbers = np.asarray(array)
-    except ValueError as error:
-        raise ValueError(f"{name}: expected an array of real numbers, got {error}") from None
-    expect(numbers.dtype.kind in "fiub", f"{name}: expected an array of real numbers, got dtype {numbers.dtype}")
-    return np.array(numbers, dtype=np.float64, order="C")
+    numbers = real_numbers(array)
+    if numbers is None:
+        raise ValueError(f"{name}: expected an array of real numbers, got {brief(array)}")
+    return numbers

@@ -5,14 +5,14 @@ Files and data sets are read by the same rules (`contact_faults`), and `physics.
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 
 import numpy as np
 
 from deep_contact.state import LIMITS, Bodies, Contacts, State, World
 from deep_contact.state.scales import ContactScales
-from deep_contact.validation import expect, flag, floats, integer, number, refuse_where, several
+from deep_contact.validation import brief, expect, flag, floats, integer, number, real_numbers, refuse_where, several
 
 UNIT = 1e-4
 """Largest deviation of the length of a normal from 1."""
@@ -24,10 +24,10 @@ def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, dens
     position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. density: kg/m², used where `mass` (kg) is None.
     Raises ValueError naming the field, the body and the value.
     """
-    try:
-        position = np.array(position, dtype=np.float64, ndmin=2)
-    except (ValueError, TypeError):
-        raise ValueError(f"position: expected numbers of shape (n, 2), x and y, got {position!r}") from None
+    places = real_numbers(position)
+    if places is None:
+        raise ValueError(f"position: expected numbers of shape (n, 2), x and y, got {brief(position)}")
+    position = np.atleast_2d(places)
     n = position.shape[0]
     radius = _for_each("radius", radius, (n,))
     refuse_where(radius <= 0, "bodies.radius", radius, "a number > 0")  # before a mass is made from it
@@ -40,11 +40,11 @@ def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, dens
 
 def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
     """A value for all circles, or one for each, as an array of this shape."""
-    try:
-        return np.broadcast_to(np.asarray(value, dtype=np.float64), shape)
-    except (ValueError, TypeError):
-        expected = f"one {'value' if len(shape) == 1 else 'pair'} for all circles, or for each of the {shape[0]}"
-        raise ValueError(f"{name}: expected {expected}, got {value!r}") from None
+    with suppress(ValueError):
+        if (numbers := real_numbers(value)) is not None:
+            return np.broadcast_to(numbers, shape)
+    expected = f"one {'value' if len(shape) == 1 else 'pair'} for all circles, or for each of the {shape[0]}"
+    raise ValueError(f"{name}: expected {expected}, got {brief(value)}")
 
 
 def checked_world(world: World) -> dict:
@@ -126,7 +126,7 @@ def checked_indices(name: str, which, count: int) -> np.ndarray:
     chosen = np.atleast_1d(chosen) if chosen.size else np.zeros(0, np.int64)
     fits = chosen.ndim == 1 and np.issubdtype(chosen.dtype, np.integer)
     fits = fits and ((chosen >= 0) & (chosen < count)).all() and len(np.unique(chosen)) == len(chosen)
-    expect(fits, f"{name}: expected different numbers, 0 to {count - 1}, or {count} flags, got {reprlib.repr(which)}")
+    expect(fits, f"{name}: expected different numbers, 0 to {count - 1}, or {count} flags, got {brief(which)}")
     return chosen
 
 
@@ -148,12 +148,12 @@ def check_state(state: State) -> State:
 def check_types(state) -> State:
     """The state itself, if it, its parts and its settings are of their types. Raises ValueError naming the part."""
     if not isinstance(state, State):
-        raise ValueError(f"state: expected a State, of dc.circles_in_box or dc.read_state for instance, got {state!r}")
+        raise ValueError(f"state: expected a State, as of dc.circles_in_box or dc.read_state, got {brief(state)}")
     for name, kind in (("world", World), ("bodies", Bodies), ("contacts", Contacts)):
         value = getattr(state, name)
         if not (isinstance(value, kind) or (value is None and kind is Contacts)):
             raise ValueError(f"{name}: expected {kind.__name__}, got {type(value).__name__}")
-    expect(isinstance(state.name, str), f"name: expected a text, got {state.name!r}")
+    expect(isinstance(state.name, str), f"name: expected a text, got {brief(state.name)}")
     number("time", state.time)
     number("dt", state.dt, above=0)
     integer("step", state.step)
@@ -188,20 +188,18 @@ def beyond_limits(**parts) -> Iterator[str]:
 
 def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
     def numbers(ends) -> tuple[float, ...]:
-        try:
-            return tuple(np.array(ends, np.float64).ravel().tolist())
-        except (ValueError, TypeError):
-            return ()
+        array = real_numbers(ends)
+        return () if array is None else tuple(array.ravel().tolist())
 
     if not isinstance(segments, (Sequence, np.ndarray)) or isinstance(segments, str):
-        raise ValueError(f"segments: expected a list of ((x, y), (x, y)), got {segments!r}")
+        raise ValueError(f"segments: expected a list of ((x, y), (x, y)), got {brief(segments)}")
     checked = tuple(map(numbers, segments))
     for index, ends in enumerate(checked):
         fits = len(ends) == 4 and np.isfinite(ends).all()
         # The squared length is what the engine divides by.
         if not fits or (ends[2] - ends[0]) ** 2 + (ends[3] - ends[1]) ** 2 == 0.0:
             expected = "two different points, ((x, y), (x, y)), of finite numbers"
-            raise ValueError(f"segments[{index}]: expected {expected}, got {segments[index]!r}")
+            raise ValueError(f"segments[{index}]: expected {expected}, got {brief(segments[index])}")
     return checked
 
 
@@ -215,7 +213,7 @@ def _checked_scales(scales) -> ContactScales | None:
     if scales is None:
         return None
     is_known = isinstance(scales, ContactScales)
-    expect(is_known, f"scales: expected None or ContactScales, such as scales.BOX2D, got {scales!r}")
+    expect(is_known, f"scales: expected None or ContactScales, such as scales.BOX2D, got {brief(scales)}")
     limits = {"max_translation": {"above": 0}}
     named = scales._asdict().items()
     # Floats, also of integers: compiled code is compiled for those.
@@ -229,7 +227,7 @@ def _length(name: str, values) -> int:
     except ValueError:  # rows of unlike lengths
         shape = ()
     if len(shape) != 1:  # asked first, since NumPy takes milliseconds to print an array
-        raise ValueError(f"{name}: expected an array of one dimension, got {reprlib.repr(values)}")
+        raise ValueError(f"{name}: expected an array of one dimension, got {brief(values)}")
     return shape[0]
 
 

@@ -6,7 +6,7 @@ that only the start differs. Independent, as in the thesis: every start drives a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -25,7 +25,7 @@ from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import State, StateWithContacts, World
 from deep_contact.state.checks import make_bodies
 from deep_contact.studies import verdicts
-from deep_contact.warm_start import Cnn, Sph, WarmStart, warm_start_of
+from deep_contact.warm_start import Cnn, Sph, Start, WarmStart, warm_start_of
 
 THRESHOLD = constants.THETA_TOLERANCE
 """θ at which a solve counts as done where sweeps are counted, N·s."""
@@ -87,13 +87,14 @@ def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> dict[str, np.nd
 
 def paired(
     states: Sequence[StateWithContacts],
-    starts: Mapping[str, WarmStart],
+    starts: Mapping[str, Start] | Iterable[Start],
     *,
     sweeps: int,
     velocity_sweeps: Sequence[int] = (),
 ) -> dict[str, dict[str, np.ndarray]]:
     """`convergence_of` every start on the same states, each solved with so many sweeps.
 
+    starts: name -> start, as `simulate` takes it; or names of starts alone.
     With velocity_sweeps also "velocity": relative velocity errors after so many sweeps, against the solution swept on
     by `REFERENCE`; a row a state, not finite where nothing was to be solved.
     """
@@ -102,7 +103,8 @@ def paired(
     solver = PGS(sweeps=sweeps, tolerance=None)
     goals = [swept_on(state) for state in states] if velocity_sweeps else []
     by_start = {}
-    for name, start in starts.items():
+    named = starts if isinstance(starts, Mapping) else {name: name for name in starts}
+    for name, start in {name: warm_start_of(start) for name, start in named.items()}.items():
         impulses = [start(state, solver) for state in states]
         thetas = [solve_contacts(s, solver=solver, start=impulse).record.theta for s, impulse in zip(states, impulses)]
         by_start[name] = convergence_of(thetas, sweeps)

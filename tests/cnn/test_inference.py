@@ -98,6 +98,8 @@ def test_a_file_of_plain_keras_is_refused(tmp_path, network):
     keras.saving.save_model(network, tmp_path / "model.h5")
     with pytest.raises(ModelFileError, match=METADATA):
         read_metadata(tmp_path / "model.h5")
+    with pytest.raises(ModelFileError, match=r"LearnedModel\(source=keras.models.load_model\(…\), spec=ImageSpec"):
+        load_model(tmp_path / "model.h5")
 
 
 @pytest.mark.parametrize("text", ["[" * 60_000, '{"a":' * 12_000])
@@ -266,6 +268,36 @@ def test_convolutional_network_runs_in_any_box(network, size):
     np.testing.assert_allclose(image, network(input_image(state, SPEC)[None])[0], rtol=1e-5, atol=1e-6)
     run = dc.simulate(state, steps=3, solver=dc.PGS(), warm_start=Cnn(model))
     assert set(run.status) <= {"converged", "no_contacts"}
+
+
+@pytest.mark.parametrize("policy", ["mixed_float16", "bfloat16", "float64"])
+def test_a_policy_of_keras_changes_no_prediction(policy, falling_states):
+    """Under mixed_float16 the thesis's network was off by 6e-4."""
+    state, before = falling_states[5], keras.config.dtype_policy()
+    expected = load_model("thesis_factored").predict(state)
+    try:
+        keras.config.set_dtype_policy(policy)
+        found = load_model("thesis_factored").predict(state)
+    finally:
+        keras.config.set_dtype_policy(before)
+    np.testing.assert_array_equal(found, expected)
+
+
+SPOILT = {
+    "position": lambda state: state.replace(bodies=state.bodies._replace(position=0.0 * state.bodies.position / 0.0)),
+    "velocity": lambda state: state.replace(bodies=state.bodies._replace(velocity=0.0 * state.bodies.velocity / 0.0)),
+    "normal": lambda state: state.replace(contacts=state.contacts._replace(normal=state.contacts.normal[:, :1].copy())),
+    "body_b": lambda state: state.replace(contacts=state.contacts._replace(body_b=state.contacts.body_b + 10**6)),
+}
+"""Field -> a state that does not hold together there."""
+
+
+@pytest.mark.filterwarnings("ignore:invalid value")
+@pytest.mark.parametrize("field", SPOILT)
+@pytest.mark.parametrize("name", ["model", "thesis_factored"])
+def test_a_state_that_does_not_hold_together_is_not_predicted(name, field, falling_states):
+    with pytest.raises(ValueError, match=field):
+        load_model(name).predict(SPOILT[field](falling_states[5]))
 
 
 @pytest.mark.parametrize("name", ["thesis_factored", "model"])

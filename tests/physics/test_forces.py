@@ -168,3 +168,12 @@ def test_neighbours_coordination_and_table_name_what_touches(tmp_path):
         dc.forces(wrong)
     with pytest.raises(ValueError, match="circle: expected"):
         dc.neighbours(state, 4)
+
+
+@pytest.mark.parametrize("columns", [0, 1, 3])
+def test_normals_of_other_dimensions_are_refused(columns):
+    """With one column what lay behind the array was read."""
+    state = dc.simulate(dc.column(3), steps=5).state
+    wrong = state.contacts._replace(normal=np.ones((state.contacts.count, columns)))
+    with pytest.raises(ValueError, match=r"contacts\.normal: expected"):
+        dc.forces(state.replace(contacts=wrong))

@@ -176,6 +176,7 @@ REFUSED = [
     (dc.plan, {"scene": COLUMN, "sleep": True, "solver": dc.BatchedPGS()}, "sleep: expected"),
     (run, {"solver": object()}, "solver: expected"),
     (run, {"forces": True}, "forces: expected"),
+    (forces_on, {"part": "floor", "index": 3, "record": 1, "forces": True}, "index: expected none of the floor, got 3"),
     (forces_on, {"part": "floor"}, "trajectory: expected"),
     (forces_on, {"part": "floor", "record": 1}, "forces: expected"),
     (forces_on, {"part": "roof", "record": 1}, "part: expected"),

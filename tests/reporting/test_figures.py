@@ -96,13 +96,14 @@ def test_a_quick_run_says_so_and_where_it_agrees_with_the_reference(tmp_path, ca
         assert capsys.readouterr().out.splitlines()[5] == f"as in the reference run, does not hold: {claim}"
 
 
-def test_the_picture_of_a_quick_run_is_marked(tmp_path, monkeypatch):
+def test_the_picture_of_another_run_than_the_figure_s_own_says_so(tmp_path, monkeypatch):
+    """`--quick --set` lost the "quick", and no picture named a setting that was changed."""
     drawn = []
     monkeypatch.setattr(plotting, "save", lambda picture, path: drawn.append([t.get_text() for t in picture.texts]))
     figure = dataclasses.replace(FIGURE, claims=lambda data: [])
-    for quick in (True, False):
-        figures.produce(figure, quick=quick, out=tmp_path)
-    assert drawn == [["quick"], []]
+    for quick, changes in ((True, {}), (False, {}), (True, {"scale": 2.0}), (False, {"scale": 2.0}), (True, {"n": 3})):
+        figures.produce(figure, options=changes, quick=quick, out=tmp_path)
+    assert drawn == [["quick"], [], ["quick, scale=2.0"], ["scale=2.0"], ["n=3"]]
 
 
 def test_settings_and_seed_are_stored_and_decide_the_numbers_and_jobs_do_not(tmp_path):

@@ -67,7 +67,8 @@ class NetworkRun:
                 for name in (before.keys() | settings.keys()).difference(free):
                     expected = f"{before.get(name)!r}, with which the run in {out} was started"
                     same = before.get(name) == settings.get(name)
-                    expect(same, f"{name}: expected {expected}, got {settings.get(name)!r}")
+                    way = f"`--from {out / 'best.h5'}` and another `--out` go on from its network"
+                    expect(same, f"{name}: expected {expected}, got {settings.get(name)!r}; {way}")
                 self.history = stored["history"]
                 for name, variable in self.variables.items():
                     variable.assign(file[name])
