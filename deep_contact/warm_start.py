@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
 Classical = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad"]
-Name = Classical | Literal["sph", "sph spline", "sph consistent", "cnn", "learned support"]
+Name = Literal[Classical, "sph", "sph spline", "sph consistent", "cnn", "learned support"]
 Start = Name | WarmStart | Path | None
 """What `warm_start=` takes: a name, a callable, a `LearnedModel` or the path of its file; None is "none"."""
 

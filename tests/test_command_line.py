@@ -256,6 +256,8 @@ def test_the_samples_are_named_by_their_paths(capsys):
 )
 def test_the_exit_status_of_a_script_is_the_guide_s(words, status, said, tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
+    # Other tests of this process may have TensorFlow at work.
+    monkeypatch.setattr("deep_contact.cnn.backend._apply_limit", lambda: None)
     Path("spoilt.xml").write_text("spoilt", encoding="utf-8")
     assert main(words) == status
     error = capfd.readouterr().err

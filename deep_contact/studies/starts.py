@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +88,7 @@ def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> dict[str, np.nd
 
 def paired(
     states: Sequence[StateWithContacts],
-    starts: Mapping[str, Start] | Iterable[Start],
+    starts: Mapping[str, Any] | Iterable[Start],
     *,
     sweeps: int,
     velocity_sweeps: Sequence[int] = (),

@@ -146,7 +146,7 @@ def test_circles_that_fly_dissipate_nothing_and_a_fall_dissipates_its_height():
 
 
 def test_neighbours_coordination_and_table_name_what_touches(tmp_path):
-    world = {"box": (0.0, 0.0, 10.0, 10.0), "segments": [((0.0, 9.0), (9.0, 9.0)), ((3.0, 0.0), (10.0, 0.01))]}
+    world = {"box": (0.0, 0.0, 10.0, 10.0), "segments": [((0.0, 9.0), (9.0, 9.0)), ((2.9, 0.0), (10.0, 0.01))]}
     state = dc.find_contacts(circles_at([[1.0, 1.0], [2.99, 1.0], [2.0, 2.7], [6.0, 6.0]], **world))
     assert [dc.neighbours(state, i) for i in range(4)] == [
         [1, 2, "floor", "left"],
