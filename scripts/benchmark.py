@@ -238,4 +238,5 @@ FIGURES = {
 if __name__ == "__main__":
     if sys.argv[1:2] and sys.argv[1] in FIGURES:
         raise SystemExit(figures.main(FIGURES[sys.argv[1]], sys.argv[2:]))
-    raise SystemExit(__doc__)
+    print(__doc__)
+    raise SystemExit(0 if "--help" in sys.argv else 2)
