@@ -1,9 +1,10 @@
-"""The validated interface of the engine: `find_contacts`, `solve_contacts`, `step`, `simulate`, `simulate_many`."""
+"""The validated interface of the engine: `Simulator`, `simulate`, `simulate_many`, contacts and their solution."""
 
 from __future__ import annotations
 
+import math
 import threading
-import warnings
+import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -14,21 +15,24 @@ import numpy as np
 
 from deep_contact.parallel import cores
 from deep_contact.physics import engine
-from deep_contact.physics.convergence import ConvergenceRecord
-from deep_contact.physics.engine import ContactSolution, contacts_of
+from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
+from deep_contact.physics.engine import ContactSolution, Steps, contacts_of, step_input
 from deep_contact.physics.forces import SIDES
 from deep_contact.physics.load import has_new_load, load_of, with_a_past, with_new_load
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import PGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
+from deep_contact.physics.step import DONE, LAST_SWEEPS, WORK, StepLog, make_log, of_whole_step, some_steps
 from deep_contact.physics.substeps import shift_flights
 from deep_contact.presets import Accuracy, Decision, MeasuredAccuracy, PresetWarning, decide
-from deep_contact.running import run
-from deep_contact.state import State, StateWithContacts, notebook
+from deep_contact.state import Bodies, Contacts, State, StateWithContacts, notebook, read_only
 from deep_contact.state.checks import check_types, checked_indices
 from deep_contact.trajectory import Trajectory
-from deep_contact.validation import brief, expect, flag, integer, number, one_of
+from deep_contact.validation import brief, expect, flag, integer, number, one_of, warn
 from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
+
+MOST_WORK, SECONDS = 20_000_000, 0.2
+"""Most work of a call of compiled code, in relaxations of a contact, and its time: between calls Ctrl-C is raised."""
 
 
 class Simulation(NamedTuple):
@@ -118,6 +122,243 @@ class Simulation(NamedTuple):
         return summary | ({} if self.recorded is None else {"record": notebook.counted(len(self.recorded), "state")})
 
 
+class Simulator:
+    """A scene that lives: it does steps, keeps what the engine remembers of them, and can be changed between them.
+
+    Arguments as of `simulate`. Steps one by one, in parts and in one call are the same, bit for bit. After Ctrl-C or an
+    error it stands at a whole step, and can go on. It pickles by its state.
+
+    | property   | meaning                                                   | shape  | unit |
+    |------------|-----------------------------------------------------------|--------|------|
+    | positions  | of the centres; a view, which every step changes          | (n, 2) | m    |
+    | velocities | of the centres, likewise                                  | (n, 2) | m/s  |
+    | time       |                                                           |        | s    |
+    | state      | a `State` of its own arrays, made when it is asked for    |        |      |
+
+    Raises ValueError on arguments that do not hold together.
+    """
+
+    def __init__(
+        self,
+        state: State,
+        *,
+        solver=None,
+        accuracy: Accuracy | MeasuredAccuracy | None = None,
+        warm_start: Start = "builtin",
+        sleep: bool = False,
+    ):
+        self._how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep}
+        self._steps: Steps | None = None
+        self._go_on(*_prepared(state, **self._how))
+
+    def step(self, steps: int = 1) -> None:
+        """Do so many steps. Raises FloatingPointError where the solver diverges beyond all numbers."""
+        done, steps = 0, integer("steps", steps)
+        while done < steps:
+            count = min(steps - done, self._affordable())
+            if count == 1:
+                done += self._advance(self._one_step())
+            else:
+                done += self._advance(self._rows(make_log(count), 0, count))
+
+    @property
+    def positions(self) -> np.ndarray:
+        return self._views[0]
+
+    @property
+    def velocities(self) -> np.ndarray:
+        return self._views[1]
+
+    @property
+    def time(self) -> float:
+        return self._now.time
+
+    @property
+    def state(self) -> StateWithContacts:
+        return self._state(np.copy)
+
+    def set(self, *, gravity=None, friction=None, restitution=None, dt=None, segments=None) -> None:
+        """Change the world, or the time step, s, from here on; what is None stays. Who sleeps wakes.
+
+        Contacts keep their impulses, with segments by their numbers. Raises ValueError, and changes nothing, on values
+        that `World` refuses.
+        """
+        fields = {"gravity": gravity, "friction": friction, "restitution": restitution, "segments": segments}
+        fields, state = {name: value for name, value in fields.items() if value is not None}, self.state
+        if fields:
+            world, contacts = replace(state.world, **fields), state.contacts
+            if segments is not None:
+                stays = contacts.body_b < state.bodies.count + 4 + len(world.segments)
+                contacts = Contacts(*(values[stays] for values in contacts))
+            state = state.replace(world=world, contacts=contacts)
+        self._change(state if dt is None else with_time_step(state, dt))
+
+    def add(self, bodies: Bodies) -> None:
+        """Add circles after the others (`State.with_bodies`). Who sleeps wakes."""
+        self._change(self.state.with_bodies(add=bodies))
+
+    def remove(self, which: Sequence) -> None:
+        """Take circles away, by their indices or by a flag for each (`State.with_bodies`). Who sleeps wakes."""
+        self._change(self.state.with_bodies(remove=which))
+
+    def __reduce__(self):
+        return _restored, (self.state, self._start, self._how)
+
+    def __repr__(self) -> str:
+        return f"Simulator({self.state!r})"
+
+    def _change(self, state: State) -> None:
+        self._go_on(*_prepared(state, **self._how))
+
+    def _go_on(self, state: StateWithContacts, start: WarmStart) -> None:
+        """Go on from a state that is ready, with its solver."""
+        solver, n, sleep = state.solver, state.bodies.count, self._how["sleep"]
+        bodies, contacts = (type(part)(*map(np.copy, part)) for part in (state.bodies, state.contacts))
+        if isinstance(start, NoStart):
+            contacts.normal_start[:] = contacts.tangent_start[:] = 0.0
+        scene = replace(state, bodies=bodies, contacts=contacts, load=None)
+        scales = engine.scales_of(state, solver)
+        inputs = step_input(scene, solver, scales)
+        kind = solver, sleep, isinstance(start, NoStart)
+        if self._steps is None or kind != self._kind or not np.array_equal(bodies.radius, self._scene.bodies.radius):
+            self._steps = Steps(solver, n, sleep=sleep, carry=not isinstance(start, NoStart))
+            # Before the arrays of results, so that their release leaves no gap on top of the heap, which Linux takes.
+            self._steps.memory(inputs, contacts.count)
+        self._steps.wake()
+        self._kind, self._start, self._scene, self._scales, self._inputs = kind, start, scene, scales, inputs
+        # Where nothing rubs, tangent rows go once no contact starts from a tangent impulse.
+        self._may_lose_tangents = scene.world.friction == 0.0 and entry_of(solver).advance is None
+        self._is_one_solve = replace(scene, solved=True).holds_solution
+        self._origin = self._now = _Now(contacts, state.step, state.time, state.solved)
+        self._kept, self._log, self._work = tuple(map(np.copy, bodies[:4])), make_log(1), MOST_WORK // 8
+        self._views = tuple(array.view() for array in bodies[:2])
+        for view in self._views:
+            view.flags.writeable = False
+        self._seen: tuple = ()  # what `on_step` sees of the last step that was watched
+
+    def _affordable(self) -> int:
+        """So many steps may be done by a call: one where the start needs Python between two steps."""
+        if not isinstance(self._start, (Builtin, NoStart)):
+            return 1
+        return 1 + self._work // (10 * self._scene.bodies.count + 50)
+
+    def _rows(self, log: StepLog, first: int, count: int, is_watched: bool = False) -> StepLog:
+        """The rows of a log from `first` on for a call."""
+        return some_steps(log, first, count, self._work, is_watched and not self._is_one_solve)
+
+    def _one_step(self) -> StepLog:
+        """A log of one step, whose arrays the next one uses again."""
+        log = self._log
+        log.sweeps[0] = log.relaxations[0] = log.parts[0] = log.progress[DONE] = 0
+        log.progress[WORK] = self._work
+        return log
+
+    def _state(self, taken) -> StateWithContacts:
+        """The state now, with arrays of which `taken` makes what the caller gets."""
+        contacts, step, time, solved = self._now
+        bodies = Bodies(*map(taken, self._scene.bodies))
+        contacts = Contacts(*map(np.copy, contacts))
+        state = replace(self._scene, bodies=bodies, contacts=contacts, step=step, time=time, solved=solved)
+        return replace(state, load=load_of(state))
+
+    def _advance(self, log: StepLog, is_watched: bool = False) -> int:
+        """Do up to as many steps as the log has rows, or none: after an error all is as before. Returns how many."""
+        before, bodies = self._now, self._scene.bodies
+        for kept, array in zip(self._kept, bodies):
+            np.copyto(kept, array)
+        impulses = before.contacts.normal_impulse.copy(), before.contacts.tangent_impulse.copy()
+        still = self._steps.sleep and self._steps.sleep.still.copy()
+        try:
+            return self._advance_from(before, log, is_watched)
+        except BaseException:
+            if self._now is before:
+                for kept, array in zip(self._kept, bodies):
+                    np.copyto(array, kept)
+                names = "normal_impulse", "tangent_impulse"
+                contacts = before.contacts._replace(**dict(zip(names, impulses)))
+                # Elsewhere than where the steps that were lost have been.
+                self._now = before._replace(contacts=Contacts(*map(np.copy, contacts)))
+                if still is not None:
+                    self._steps.sleep.still[:] = still
+            raise
+
+    def _advance_from(self, before: _Now, log: StepLog, is_watched: bool) -> int:
+        contacts, problem, inputs, scene = before.contacts, None, self._inputs, self._scene
+        if is_watched:
+            seen = replace(
+                scene,
+                bodies=Bodies(*map(np.copy, scene.bodies[:4]), *scene.bodies[4:]),
+                step=before.step,
+                time=before.time,
+            )
+        if not isinstance(self._start, (Builtin, NoStart)):
+            normal, tangent, problem = starting_impulses(self._start, self.state, scene.solver, self._scales)
+            contacts = contacts._replace(normal_start=normal, tangent_start=tangent)
+        if self._may_lose_tangents:
+            inputs = step_input(replace(scene, contacts=contacts), scene.solver, self._scales)
+        begun = time.perf_counter()
+        following, received = self._steps(inputs, contacts, log, problem)
+        if len(log.contacts) > 1:  # how a run is divided changes no bit of it
+            seconds = time.perf_counter() - begun
+            self._work = min(MOST_WORK, 2 * self._work, 1 + int(self._work * SECONDS / seconds))
+        done = int(log.progress[DONE]) // inputs.parts
+        step, dt, origin = before.step + done, scene.dt, self._origin
+        if not math.isfinite(np.add.reduce(scene.bodies.position, None)):
+            _raise_diverged(scene.bodies, step)
+        # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
+        is_even = origin.time == origin.step * dt
+        now = step * dt if is_even else origin.time + (step - origin.step) * dt
+        if is_watched:
+            theta = self._steps.memory(inputs).theta[: log.progress[LAST_SWEEPS]]
+            solved = contacts if self._is_one_solve else of_whole_step(contacts, received)
+            seen = replace(seen, contacts=Contacts(*map(np.copy, solved)), solved=True)
+            self._seen = read_only(seen), convergence_record(theta, scene.solver, int(log.contacts[0]))
+        self._now = _Now(following, step, now, False)
+        return done
+
+
+class _Now(NamedTuple):
+    """Where a `Simulator` stands: one value, so that an interrupt finds it before a step or after it."""
+
+    contacts: Contacts
+    step: int
+    time: float
+    solved: bool
+
+
+def _restored(state: StateWithContacts, start: WarmStart, how: dict) -> Simulator:
+    """A `Simulator` that goes on from the state of another."""
+    simulator = Simulator.__new__(Simulator)
+    simulator._how, simulator._steps = how, None
+    simulator._go_on(state, start)
+    return simulator
+
+
+def _raise_diverged(bodies: Bodies, step: int) -> None:
+    circle = int(np.flatnonzero(~np.isfinite(bodies.position).all(axis=1))[0])
+    raise FloatingPointError(
+        f"up to step {step}: circle {circle} (mass {bodies.mass[circle]:g} kg, radius {bodies.radius[circle]:g} m) has "
+        "come to a position that is not finite: the solver diverged; try PGS, a smaller dt"
+    )
+
+
+def _prepared(state: State, solver, accuracy, warm_start, sleep) -> tuple[StateWithContacts, WarmStart]:
+    """What a run begins with: the state, ready, with its solver and the impulses it starts from, and the start."""
+    first, state = state, ready(state)
+    without_past = first.contacts is None or state.step == 0
+    solver, start, _, decision = method_of(state, solver, warm_start, accuracy, sleep=sleep)
+    for sentence in decision.warnings if decision else ():
+        warn(sentence, PresetWarning)
+    # Not of a run that goes on, so that it comes to the same in one go and in parts.
+    if decision and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
+        state = with_a_past(state)
+    elif has_new_load(state):
+        state = find_contacts(state)
+        state = state if isinstance(start, NoStart) else with_new_load(state, solver)
+    # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
+    return state.replace(solver=solver), start
+
+
 def find_contacts(state: State) -> StateWithContacts:
     """The state with the contacts at its positions: they are found, and nothing is solved.
 
@@ -153,8 +394,8 @@ def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndar
 def step(state: State, *, solver=None, warm_start: Start = "builtin") -> StateWithContacts:
     """One step: the state Δt later, with its contacts found and the solved impulses carried over to them.
 
-    For the impulses that the step solved, see `simulate`'s `on_step`. Arguments and errors as in `simulate`, which does
-    many steps in less time than a loop of this.
+    For the impulses that the step solved, see `simulate`'s `on_step`. Arguments and errors as in `simulate`. A
+    `Simulator` does many steps in less time than a loop of this.
     """
     return simulate(state, steps=1, solver=solver, warm_start=warm_start).state
 
@@ -212,22 +453,31 @@ def _simulate(
     expect(not flag("forces", forces) or record is not None, "forces: expected False without record=…, got True")
     if dt is not None:
         state = with_time_step(state, dt)
-    first, state = state, ready(state)
-    without_past = first.contacts is None or state.step == 0
-    solver, start, _, decision = method_of(state, solver, warm_start, accuracy, sleep=sleep)
-    for sentence in decision.warnings if decision else ():
-        warnings.warn(sentence, PresetWarning, stacklevel=3)
-    # Not of a run that goes on, so that it comes to the same in one go and in parts.
-    if decision and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
-        state = with_a_past(state)
-    elif has_new_load(state):
-        state = find_contacts(state)
-        state = state if isinstance(start, NoStart) else with_new_load(state, solver)
-    # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
-    state = state.replace(solver=solver)
-    state, log, frames, loads, solved = run(state, start, steps, sleep, record, on_step, until, forces, stopped)
-    recorded, solved = (Trajectory.from_states(states) if states else None for states in (frames, solved))
-    return Simulation(state, *log[:5], recorded, np.array(loads) if forces else None, solved)
+    run = Simulator(state, solver=solver, accuracy=accuracy, warm_start=warm_start, sleep=sleep)
+    every, log, done = record or steps + 1, make_log(steps, 4 + len(state.world.segments) if forces else 0), 0
+    frames, loads = [] if record is None else [run.state], [log.loads.copy()]
+    solved, is_over = [], False
+    while done < steps and not is_over:
+        if stopped is not None and stopped.is_set():
+            raise KeyboardInterrupt
+        left = min(steps - done, every - done % every)
+        most = 1 if on_step is not None or until is not None else run._affordable()
+        if forces and left > 1:
+            most = min(most, left - 1)  # so that the step that leads to a recorded state is a call of its own
+        is_watched = on_step is not None or (forces and (left == 1 or until is not None))
+        done += run._advance(run._rows(log, done, min(left, most), is_watched), is_watched)
+        if on_step is not None:
+            on_step(*run._seen)
+        if until is not None:
+            is_over = bool(until(read_only(run.state)))
+        if record is not None and (done % every == 0 or done == steps or is_over):
+            frames.append(run.state)
+            loads.append(log.loads.copy())
+            solved += run._seen[:1]
+    trajectories = (Trajectory.from_states(states) if states else None for states in (frames, solved))
+    recorded, solved = trajectories
+    columns = (column[:done] for column in log[:5])
+    return Simulation(run._state(np.asarray), *columns, recorded, np.array(loads) if forces else None, solved)
 
 
 def simulate_many(

@@ -8,6 +8,8 @@ from __future__ import annotations
 import difflib
 import math
 import reprlib
+import sys
+import warnings
 from collections.abc import Collection
 from numbers import Integral, Real
 
@@ -20,6 +22,14 @@ _SHORT.maxstring = _SHORT.maxother = 120
 def brief(value) -> str:
     """`repr(value)` on one line, cut where it is long: for messages."""
     return " ".join(_SHORT.repr(value).split())
+
+
+def warn(message: str, category: type[Warning] = UserWarning) -> None:
+    """Warn where the package was called from."""
+    frame, level = sys._getframe(1), 2
+    while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "deep_contact":
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, category, stacklevel=level)
 
 
 def expect(condition, message: str) -> None:

@@ -10,7 +10,7 @@ import pytest
 from conftest import assert_same_bits, circles_at
 
 import deep_contact as dc
-from deep_contact import running
+from deep_contact import simulation
 from deep_contact.simulation import with_time_step
 
 MOTION = dc.PGS(sweeps=8, substeps=2, most_substeps=8)
@@ -104,16 +104,16 @@ def test_ctrl_c_is_answered_between_short_runs_of_steps(monkeypatch):
     scene, calls = dc.simulate(dc.lattice_in_box(400, seed=1), steps=30).state, []
     solver = dc.PGS(sweeps=100, tolerance=None)
 
-    class Watched(running.Steps):
+    class Watched(simulation.Steps):
         def __call__(self, given, contacts, log, problem=None):
             found = super().__call__(given, contacts, log, problem)
             calls.append(log.relaxations[: log.progress[0]])
             return found
 
-    monkeypatch.setattr(running, "Steps", Watched)
+    monkeypatch.setattr(simulation, "Steps", Watched)
     dc.simulate(scene, steps=1200, solver=solver)
     assert sum(call.size for call in calls) == 1200
-    assert max(call[:-1].sum() for call in calls) < running.MOST_WORK
+    assert max(call[:-1].sum() for call in calls) < simulation.MOST_WORK
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
@@ -121,7 +121,7 @@ def test_memory_kept_between_calls_changes_no_bit(monkeypatch, friction):
     # From the second call on, a run without friction has no tangents left to sweep, and other memory.
     scene = dc.simulate(dc.lattice_in_box(60, seed=1), steps=60, solver=dc.PGS(sweeps=10)).state
     scene = scene.replace(world=dc.World(box=scene.world.box, friction=friction))
-    monkeypatch.setattr(running, "MOST_WORK", 0)  # every step is a call
+    monkeypatch.setattr(simulation, "MOST_WORK", 0)  # every step is a call
     found = dc.simulate(scene, steps=12)
     for theta in found.theta:
         run = dc.simulate(scene, steps=1)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.compiled import njit
+from deep_contact.compiled.direct import Direct
 from deep_contact.physics import sleeping
 from deep_contact.physics.collision import find_contacts, make_cells, make_contacts, next_contacts, own_contacts
 from deep_contact.physics.contact_solver import (
@@ -150,19 +151,49 @@ class Steps:
         self._advance = entry.advance(solver) if entry.advance else advance
         self._is_plain = not (sleep or entry.advance)  # whether nothing rare is compiled; once False, it stays
         self._options = StepOptions(settings_of(solver), solver.position_sweeps, carry)
-        self._solver, self._memory = solver, {}
+        self._solver, self._memory, self._direct = solver, {}, {}
+        self._asked = self._given = None  # the last input of steps, and what was made of it
+        self._found: tuple = (None, -1, False)  # indices of the contacts found last, their buffer and its memory
         self.sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
+
+    def wake(self) -> None:
+        """Let all islands be awake."""
+        if self.sleep is not None:
+            self.sleep.still[:] = 0.0
 
     def memory(self, step: StepInput, contacts: int = 0) -> StepMemory:
         """The memory that these steps work in: one for rows with tangents, one for rows without. contacts: a number."""
+        return self._memories(step, contacts)[-1]
+
+    def _memories(self, step: StepInput, contacts: int) -> list[StepMemory]:
+        """Memories that do not write over the contacts in buffer 0, 1 or 2; the last, for contacts elsewhere, has none.
+
+        They share all but the buffers of contacts (`_BUFFERS`).
+        """
         key = step.friction is None
         if key not in self._memory:
             n, m = step.bodies.count, contacts
             capacity, friction = max(4 * n, m + m // 2) + 64, step.friction
             memory = make_memory(n, capacity, self._solver.sweeps, friction)
             workspace = make_workspace(self._options.settings, memory.rows, memory.solver_bodies)
-            self._memory[key] = memory._replace(workspace=workspace)
+            memory = memory._replace(workspace=workspace)
+            buffers = *memory.contacts, make_contacts(capacity)
+            self._memory[key] = [memory._replace(contacts=(buffers[i], buffers[j])) for i, j in _BUFFERS]
         return self._memory[key]
+
+    def _buffer_of(self, contacts: Contacts, key: bool) -> int:
+        """Which buffer of the memory for rows with these tangents the contacts lie in; -1 where in none."""
+        found, buffer, kept = self._found
+        return buffer if contacts.body_a is found and key == kept else -1
+
+    def _keep(self, following: Contacts, parts: int, buffer: int, key: bool) -> Contacts:
+        """Note in which buffer the contacts lie that so many parts have left, which filled two of them by turns."""
+        if self.sleep is not None:  # parts of those asleep fill none
+            following, buffer = own_contacts(following), -1
+        elif parts > 0:
+            buffer = _BUFFERS[buffer][parts % 2]
+        self._found = following.body_a, buffer, key
+        return following
 
     def __call__(
         self, step: StepInput, contacts: Contacts, log: StepLog, problem: StepProblem | None = None
@@ -170,9 +201,11 @@ class Steps:
         """Do as many steps as the log has rows, which is filled: the bodies move in place.
 
         problem: of the one step to do, if it has been built; it is used up. Who may sleep has rows of their own.
-        Returns the contacts found, and `StepLog.received`.
+        Returns the contacts found, in memory that the next call leaves as it is, and `StepLog.received`.
         """
-        memory = self.memory(step, contacts.count)
+        memories, key = self._memories(step, contacts.count), step.friction is None
+        buffer = self._buffer_of(contacts, key)
+        memory, before = memories[buffer], 0
         if problem is not None and self.sleep is None and step.parts == motion_parts(self._solver) == 1:
             rows, solver_bodies, _, impacts = started(problem, contacts, step.friction)
             memory = memory._replace(rows=rows, solver_bodies=solver_bodies, is_built=True)
@@ -181,15 +214,28 @@ class Steps:
                 log = log._replace(received=received)
         while True:
             self._is_plain = self._is_plain and step.motion is None
-            step = step if self._is_plain else with_rare(step)
+            step = step if self._is_plain else self._with_rare(step)
+            kind = self._is_plain, key  # what the types of all arguments depend on
+            if kind not in self._direct:
+                self._direct[kind] = Direct(self._advance)
             given = step, step.motion, contacts, self.sleep, self._options, memory, log
-            following, received = self._advance(*given)
-            following = own_contacts(following)
+            following, received = self._direct[kind](*given)
+            parts = int(log.parts[0] if len(log.parts) == 1 else log.parts.sum())
+            following, before = self._keep(following, parts - before, buffer, key), parts
             if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.parts * len(log.contacts):
                 return following, received
             # A circle is fast. What has been built is used up.
-            self._is_plain, contacts, memory = False, following, self.memory(step)
-            log = log._replace(received=received)
+            buffer = self._buffer_of(following, key)
+            self._is_plain, contacts, memory, log = False, following, memories[buffer], log._replace(received=received)
+
+    def _with_rare(self, step: StepInput) -> StepInput:
+        if step is not self._asked:
+            self._asked, self._given = step, with_rare(step)
+        return self._given
+
+
+_BUFFERS = (1, 2), (0, 2), (0, 1), (0, 1)
+"""Which two of three buffers steps fill whose contacts lie in the first, the second, the third, and elsewhere."""
 
 
 @njit(cache=True, error_model="numpy")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 
 import numpy as np
 
@@ -11,6 +10,7 @@ from deep_contact.compiled import njit
 from deep_contact.physics.engine import contacts_of
 from deep_contact.state import LIMITS, Contacts, State, StateWithContacts, no_contacts
 from deep_contact.state.checks import UNIT, check_limits, check_state, check_types, make_bodies
+from deep_contact.validation import warn
 
 _POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
     LIMITS[f"bodies.{name}"][:2] for name in ("position", "velocity", "spin", "mass", "radius")
@@ -65,7 +65,7 @@ def _warn_of_coincidence(state: StateWithContacts) -> None:
     for i in np.flatnonzero(near)[:1]:
         which = f"circles {a[i]} and {b[i]} nearly coincide, their centres are {apart[i]:.3g} m apart"
         more = f" ({near.sum():,} pairs do)" if near.sum() > 1 else ""
-        warnings.warn(f"bodies.position: {which}{more}; the solver pushes them apart at once", stacklevel=5)
+        warn(f"bodies.position: {which}{more}; the solver pushes them apart at once")
 
 
 def _warn_of_outside(state: StateWithContacts) -> None:
@@ -75,7 +75,7 @@ def _warn_of_outside(state: StateWithContacts) -> None:
     for i in outside[:1]:
         where = f"circle {i} lies outside of the box {box}, at ({position[i, 0]:g}, {position[i, 1]:g}) m"
         more = f" ({outside.size:,} circles do)" if outside.size > 1 else ""
-        warnings.warn(f"bodies.position: {where}{more}; the walls pull it in step by step", stacklevel=5)
+        warn(f"bodies.position: {where}{more}; the walls pull it in step by step")
 
 
 def has_engine_arrays(state: State) -> bool:

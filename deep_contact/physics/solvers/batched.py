@@ -11,6 +11,7 @@ from numba import config, types
 from numba.experimental import structref
 
 from deep_contact.compiled import njit
+from deep_contact.compiled.direct import Direct
 from deep_contact.compiled.simd import WIDTH, lane, least, load, load_rows, most, spread, store, store_rows
 from deep_contact.constants import POSITION_TOLERANCE
 from deep_contact.physics import batches, collision
@@ -290,15 +291,16 @@ class _Run:
     """`engine.advance` for a run."""
 
     def __init__(self, solver: BatchedPGS):
-        self._room = None
+        self._room, self._go_on = None, Direct(go_on)
+        self._steps, self._contacts_in = Direct(advance_in_batches), Direct(contacts_in)
 
     def __call__(self, step, motion, contacts, sleep, options, memory, log):
         """As `engine.advance`."""
         if self._room is None:
             self._room = make_room(contacts, memory)
-        go_on(self._room, contacts, memory, log.received)
-        advance_in_batches(step, options, log, self._room)
-        return contacts_in(self._room)
+        self._go_on(self._room, contacts, memory, log.received)
+        self._steps(step, options, log, self._room)
+        return self._contacts_in(self._room)
 
 
 _LOOP = Loop(BatchSettings, relax_in_batches)

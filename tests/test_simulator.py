@@ -1,0 +1,174 @@
+"""A scene that lives: its bits are those of runs, and nothing that happens between two steps is lost."""
+
+import pickle
+import sys
+
+import numpy as np
+import pytest
+from conftest import circles_at
+
+import deep_contact as dc
+from deep_contact.simulation import with_time_step
+
+WAYS = {
+    "fast": ({}, {"accuracy": "fast"}),
+    "no start": ({}, {"solver": dc.PGS(sweeps=8), "warm_start": None}),
+    "support": ({}, {"solver": dc.PGS(sweeps=8), "warm_start": "support"}),
+    "asleep": ({}, {"solver": dc.PGS(sweeps=8), "sleep": True}),
+    "frictionless": ({"friction": 0.0}, {"solver": dc.PGS(sweeps=8)}),
+    "rebounds": ({"restitution": 0.5}, {"solver": dc.PGS(sweeps=8, substeps=2, most_substeps=8)}),
+    "batches": ({}, {"solver": dc.BatchedPGS(sweeps=8, substeps=3)}),
+}
+
+
+@pytest.fixture
+def pile():
+    """Circles that fall onto one another, and the options of a run."""
+    return dc.column(4, friction=0.4), {"solver": dc.PGS(sweeps=8)}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_step_by_step_in_parts_and_in_one_call_are_the_same_bits(way):
+    world, how = WAYS[way]
+    scene = dc.lattice_in_box(12, seed=1, **world)
+    scene = scene.replace(bodies=scene.bodies._replace(velocity=np.full((12, 2), [3.0, -12.0])))
+    whole = dc.simulate(scene, steps=60, **how)
+    assert whole.contacts.max() > 8
+    for parts in ([1] * 60, [7, 0, 13, 40], [60]):
+        run = dc.Simulator(scene, **how)
+        for steps in parts:
+            run.step(steps)
+        assert run.state == whole.state
+        assert run.time == whole.state.time
+
+
+def test_views_follow_the_steps_and_states_have_arrays_of_their_own(pile):
+    run = dc.Simulator(pile[0], **pile[1])
+    positions, before = run.positions, run.state
+    run.step(20)
+    assert positions is run.positions
+    np.testing.assert_array_equal(positions, run.state.bodies.position)
+    np.testing.assert_array_equal(run.velocities, run.state.bodies.velocity)
+    assert before == pile[0].replace(contacts=before.contacts, solver=before.solver)
+    for view in (run.positions, run.velocities):
+        with pytest.raises(ValueError, match="read-only"):
+            view[:] = 0.0
+    kept = run.state
+    kept.bodies.velocity[:] = kept.contacts.normal_start[:] = 1e3
+    run.step(5)
+    assert run.state == dc.simulate(*pile[:1], steps=25, **pile[1]).state
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"gravity": (3.0, -5.0)}, {"friction": 0.1}, {"restitution": 0.5}, {"gravity": (0.0, 9.81), "friction": 0}],
+)
+def test_what_is_set_holds_from_there_on(changes, pile):
+    run = dc.Simulator(pile[0], **pile[1])
+    run.step(40)
+    state = run.state
+    run.set(**changes)
+    run.step(10)
+    world = dc.World(**{name: getattr(state.world, name) for name in ("box", "gravity", "friction")} | changes)
+    assert run.state == dc.simulate(state.replace(world=world), steps=10, **pile[1]).state
+    with pytest.raises(ValueError, match="friction: expected"):
+        run.set(friction=-1.0)
+    assert run.state.world == world
+
+
+def test_the_time_step_can_be_set_and_scales_what_is_carried(pile):
+    run = dc.Simulator(pile[0], **pile[1])
+    run.step(40)
+    state = run.state
+    run.set(dt=0.004)
+    run.step(10)
+    assert run.state == dc.simulate(with_time_step(state, 0.004), steps=10, **pile[1]).state
+
+
+def test_segments_can_be_set_and_those_that_stay_keep_their_impulses():
+    shelf, bar = ((0.0, 5.0), (30.0, 5.0)), ((0.0, 20.0), (30.0, 20.0))
+    scene = circles_at([[5.0, 6.0], [5.0, 21.0]], segments=[shelf, bar])
+    run = dc.Simulator(scene, solver=dc.PGS(sweeps=8))
+    run.step(5)
+    carried = run.state.contacts.normal_start[0]
+    run.set(segments=[shelf])
+    assert run.state.contacts.normal_start.tolist() == [carried]
+    run.step(20)
+    assert run.positions[0, 1] == pytest.approx(6.0, abs=0.02)
+    assert run.positions[1, 1] < 20.8
+
+
+def test_circles_come_and_go(pile):
+    run, more = dc.Simulator(pile[0], **pile[1]), dc.make_bodies([[8.0, 9.0], [22.0, 9.0]], radius=0.5)
+    run.step(40)
+    state = run.state.with_bodies(add=more).with_bodies(remove=[0])
+    run.add(more)
+    run.remove([0])
+    assert run.positions.shape == (5, 2)
+    run.step(10)
+    assert run.state == dc.simulate(state, steps=10, **pile[1]).state
+
+
+def test_it_pickles_by_its_state(pile):
+    run = dc.Simulator(pile[0], **pile[1])
+    run.step(30)
+    again = pickle.loads(pickle.dumps(run))
+    for one in (run, again):
+        one.step(10)
+    assert again.state == run.state
+
+
+def test_a_start_that_fails_leaves_the_last_whole_step(pile):
+    def start(state, solver):
+        if state.step == 30 and not failed:
+            failed.append(state.step)
+            raise RuntimeError("no start")
+        return np.zeros(state.contacts.count), np.zeros(state.contacts.count)
+
+    failed: list = []
+    run = dc.Simulator(pile[0], **pile[1], warm_start=start)
+    with pytest.raises(RuntimeError, match="no start"):
+        run.step(50)
+    assert run.state.step == 30
+    run.step(20)
+    assert run.state == dc.simulate(pile[0], steps=50, **pile[1], warm_start=start).state
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, FloatingPointError])
+@pytest.mark.parametrize("way", ["fast", "asleep", "rebounds", "batches"])
+def test_a_step_that_is_interrupted_or_diverges_leaves_the_last_whole_step(way, error, monkeypatch):
+    world, how = WAYS[way]
+    scene = dc.column(4, **world)
+    run = dc.Simulator(scene, **how)
+    run.step(45)
+    before, steps = run.state, run._steps
+
+    def broken(*arguments):
+        """Steps that are done, and then lost."""
+        result = type(steps).__call__(steps, *arguments)
+        if error is KeyboardInterrupt:
+            raise error
+        run._scene.bodies.position[1] = np.nan
+        return result
+
+    broken.sleep = steps.sleep
+    monkeypatch.setattr(run, "_steps", broken)
+    with pytest.raises(error):
+        run.step(3)
+    monkeypatch.setattr(run, "_steps", steps)
+    assert run.state == before
+    run.step(15)
+    assert run.state == dc.simulate(scene, steps=60, **how).state
+
+
+def test_a_step_takes_few_calls_of_python(pile):
+    # Some hundred, with states and types made anew, are what a step of ten circles took twenty times as long by.
+    run, calls = dc.Simulator(pile[0], **pile[1]), []
+    run.step()
+    run.step()
+    sys.setprofile(lambda frame, event, argument: calls.append(event) if event == "call" else None)
+    try:
+        run.step()
+    finally:
+        sys.setprofile(None)
+    assert len(calls) < 25
