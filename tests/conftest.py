@@ -15,6 +15,7 @@ from scipy import optimize
 
 import deep_contact as dc
 from deep_contact.physics.lcp import contact_problem
+from deep_contact.run_errors import Observation
 from deep_contact.studies.starts import solved_states
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -50,6 +51,20 @@ def circles_at(position, *, dt=0.01, **options):
     """A scene of circles at these centres; options of `World`, such as `box`, and of `make_bodies`."""
     world = {name: options.pop(name) for name in dc.World.__dataclass_fields__ if name in options}
     return dc.State(name="circles", world=dc.World(**world), bodies=dc.make_bodies(position, **options), dt=dt)
+
+
+def observation(
+    kinetic=1.0, height=10.0, speed=0.0, penetration=0.0, contacts=1.5, loads=None, count=30, quantities=None
+):
+    """What is looked at of a run, a number being a curve that does not change."""
+
+    def curve(value):
+        return np.full(count, float(value)) if np.isscalar(value) else np.asarray(value, float)
+
+    depth = np.repeat(curve(penetration)[:, None], 3, axis=1)
+    own = {name: curve(value) for name, value in (quantities or {}).items()}
+    flat = curve(kinetic), curve(height), curve(speed), depth, curve(contacts), np.ones(count - 1)
+    return Observation(*flat, loads, 0.1, own)
 
 
 @pytest.fixture(scope="session")

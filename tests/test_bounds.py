@@ -53,6 +53,25 @@ def test_two_circles_between_walls_lean_on_each_other():
         dc.force_bounds(state, loads={floor: (5 * weight / state.dt, 0.1 * weight / state.dt)})
 
 
+def test_a_measured_force_is_on_the_wall_and_in_newtons():
+    """The circle pushes the left wall by 10 N and rubs it upwards by 4 N: n = (-1, 0), t = (0, 1), λ = f Δt."""
+    state, _ = row_of_circles(2, 0.5)
+    left = on(state, 0, 5)
+    bounds = dc.force_bounds(state, [left], {"left": ((-10.0, 4.0), 0.1), left: (10.0, 0.05)})
+    np.testing.assert_allclose(bounds.normal / state.dt, [[9.95, 10.05]])
+    np.testing.assert_allclose(bounds.tangent / state.dt, [[3.9, 4.1]])
+
+
+@pytest.mark.parametrize("speed", [3.0, -3.0])
+def test_friction_of_what_slides_drags_the_floor_along(speed):
+    """t = (-1, 0) on the floor: λ_t = -μ λ_n where the circle slides to the right."""
+    state = dc.find_contacts(circles_at([[5.0, 1.0]], velocity=[[speed, 0.0]], friction=0.5))
+    weight, bounds = state.bodies.mass[0] * 9.81 * state.dt, dc.force_bounds(state)
+    np.testing.assert_allclose(bounds.normal / weight, [[1.0, 1.0]])
+    np.testing.assert_allclose(bounds.tangent / weight, [[-0.5 * np.sign(speed)] * 2])
+    assert bounds.determined == 1.0
+
+
 def test_a_pyramid_of_three_stands_by_friction_within_bounds():
     # Friction f at the upper contacts is, by the torques, that on the floor. On the upper circle √3 N + f = W; between
     # the lower ones K = (1 + √3 / 2) f - N / 2 >= 0; and f <= μ N.
@@ -67,6 +86,7 @@ def test_a_pyramid_of_three_stands_by_friction_within_bounds():
         bounds.normal[on(state, 0, 1)] / weight, [0, (1 + root / 2) * f[1] - (1 - f[1]) / (2 * root)], atol=1e-6
     )
     np.testing.assert_allclose(bounds.normal[on(state, 0, 3)] / weight, 1.5, atol=1e-6)
+    assert bounds.determined == 0.0  # nor that on the floor, whose friction is f
 
 
 def test_the_keystone_of_an_arch_is_wedged_within_bounds():

@@ -1,8 +1,12 @@
 """Plans: what a run uses and leaves out, said as `simulate` does it."""
 
+from dataclasses import replace
+
 import pytest
 
 import deep_contact as dc
+from deep_contact import planning
+from deep_contact.stiffness import Stiffness
 
 COLUMN, FREE = dc.column(3), dc.column(3, friction=0.0)
 pytestmark = pytest.mark.filterwarnings("ignore:.*solved to a tolerance")
@@ -56,3 +60,42 @@ def test_a_plan_has_the_solver_of_the_run(scene, options):
     assert chosen.solver == run.state.solver
     assert (chosen.us is None) == ("solver" in options)
     assert chosen[SUBSTEPS].used == (run.state.solver.substeps > 1 or run.state.solver.most_substeps is not None)
+
+
+HEAP = Stiffness("a heap", dc.PGS(sweeps=2, tolerance=None, substeps=8))
+COLUMN_OF_200 = Stiffness("a column", dc.NNCG(sweeps=5000, tolerance=1e-9, substeps=4))
+
+
+@pytest.mark.parametrize(
+    ("stiff", "solver", "used", "why"),
+    [
+        (None, dc.PGS(), False, "nothing is too stiff for a few sweeps"),
+        (None, dc.NNCG(sweeps=5000, tolerance=1e-9), True, "nothing is too stiff for a few sweeps"),
+        (COLUMN_OF_200, dc.NNCG(sweeps=5000, tolerance=1e-9), True, "a column"),
+        (COLUMN_OF_200, dc.NNCG(sweeps=4999, tolerance=1e-9), False, "a column, but NNCG"),
+        (COLUMN_OF_200, dc.NNCG(sweeps=5000, tolerance=None), False, "a column, but NNCG"),
+        (HEAP, dc.PGS(sweeps=2, tolerance=None, substeps=8), True, "a heap"),
+        (HEAP, dc.PGS(sweeps=2, tolerance=None, substeps=7), False, "a heap, but PGS"),
+    ],
+)
+def test_stiff_piles_are_solved_by_many_sweeps_to_a_tolerance_and_heaps_in_substeps(stiff, solver, used, why):
+    choice = planning._stiffness(stiff, solver)
+    assert choice.used == used
+    assert choice.why.startswith(why)
+    assert ("was asked for" in choice.why) == ("but" in why)
+
+
+@pytest.mark.parametrize(("least", "most", "text"), [(1, None, "1 a step"), (2, 2, "2 a step"), (2, 8, "up to 8")])
+def test_substeps_are_planned_by_their_least_and_most_number(least, most, text):
+    choice = dc.plan(COLUMN, solver=dc.PGS(substeps=least, most_substeps=most))[SUBSTEPS]
+    assert choice.used == (least > 1)
+    assert text in choice.why
+    assert ("up to" in choice.why) == (most == 8)
+
+
+def test_segments_and_belts_are_counted():
+    segments = [((1.0, 5.0), (4.0, 5.0)), ((5.0, 5.0), (8.0, 5.0))]
+    world = replace(COLUMN.world, segments=segments, surface_speeds=[0.0, 2.0])
+    choice = dc.plan(COLUMN.replace(world=world))["static segments"]
+    assert choice == (True, "the world has 2, and 1 surfaces move")
+    assert dc.plan(COLUMN)["static segments"] == (False, "the world has none")

@@ -1,10 +1,13 @@
 """Errors of a run: closed forms, invariances, and ensembles whose errors are known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from conftest import observation
 
 import deep_contact as dc
-from deep_contact.run_errors import ERRORS, LOADS, REST, Observation, errors, intervals, observe, with_reach
+from deep_contact.run_errors import ERRORS, LOADS, REST, errors, intervals, observe, with_reach
 
 
 def states(scene, *, count=40, each=5, **options):
@@ -13,15 +16,6 @@ def states(scene, *, count=40, each=5, **options):
         state = dc.simulate(state, steps=each, solver=dc.PGS(sweeps=50, tolerance=None), **options).state
         found.append(state)
     return found
-
-
-def observation(kinetic=1.0, height=10.0, speed=0.0, penetration=0.0, contacts=1.5, loads=None, count=30):
-    def curve(value):
-        return np.full(count, float(value)) if np.isscalar(value) else np.asarray(value, float)
-
-    depth = np.repeat(curve(penetration)[:, None], 3, axis=1)
-    force = np.ones(count - 1)
-    return Observation(curve(kinetic), curve(height), curve(speed), depth, curve(contacts), force, loads, 0.1, {})
 
 
 def test_a_falling_circle_by_closed_form():
@@ -108,7 +102,7 @@ def test_an_ensemble_has_no_error_against_itself():
     [
         ("energy", {"kinetic": 1.1}, 10.0),
         ("height", {"height": 9.5}, 5.0),
-        ("creep", {"height": 10 - 0.01 * np.arange(30)}, 10.0),
+        ("creep", {"height": 10 - 0.01 * np.arange(30)}, 8.0),
         ("penetration", {"penetration": 0.02}, 2.0),
         ("penetration_95", {"penetration": 0.02}, 2.0),
         ("penetration_max", {"penetration": 0.02 + 0.1 * (np.arange(30) == 3)}, 12.0),
@@ -118,10 +112,31 @@ def test_an_ensemble_has_no_error_against_itself():
     ],
 )
 def test_each_error_by_hand(name, changed, expected):
-    loads = np.minimum(1, LOADS)
-    reference = [observation(loads=loads)] * 3
-    found = errors([observation(**({"loads": loads} | changed))] * 3, reference)
+    """The reference creeps itself, by 0.002 r in an interval of 0.1."""
+    same = {"loads": np.minimum(1, LOADS), "height": 10 - 0.002 * (np.arange(30) - 19.5)}
+    found = errors([observation(**(same | changed))] * 3, [observation(**same)] * 3)
     np.testing.assert_allclose(found[name], expected, rtol=1e-9)
+
+
+def test_the_95th_percentile_is_that_of_the_contacts():
+    """Depths of 0, 0.01 … 1 r, of circles of r = 2 m."""
+    state = dc.simulate(dc.two_bodies(speed=0.0), steps=0).state
+    state = state.replace(
+        world=dc.World(gravity=(0, -1.0)), bodies=dc.make_bodies([[5, 5], [15, 5]], radius=2.0),
+        contacts=SimpleNamespace(separation=-0.02 * np.arange(101), normal_start=np.zeros(101)),
+    )  # fmt: skip
+    seen = observe([state.replace(time=float(k)) for k in range(REST)])
+    np.testing.assert_allclose(seen.penetration, [[0.5, 0.95, 1.0]] * REST)
+
+
+def test_errors_of_a_quantity_are_shares_of_its_size_over_the_run():
+    """Its curve: Σ |⟨q⟩ − ⟨q⟩*| / Σ |⟨q⟩*|; its spread: the distance of the means over a run, 1 and 3 from 2 and 2."""
+    found, same = ([observation(quantities={"q": q}) for q in runs] for runs in ((1.0, 3.0), (2.0, 2.0)))
+    shifted = [observation(quantities={"q": 2.0 + 0.5 * (np.arange(30) < 15)})] * 2
+    assert [errors(found, same)[name] for name in ("q", "q spread")] == [0.0, pytest.approx(0.5)]
+    assert [errors(shifted, same)[name] for name in ("q", "q spread")] == [pytest.approx(0.125)] * 2
+    nothing = [observation(quantities={"q": 0.0})] * 2  # of which there is no share
+    assert [errors(found, nothing)[name] for name in ("q", "q spread")] == [pytest.approx(2.0)] * 2
 
 
 def test_what_a_gas_and_a_drum_never_have_is_unknown():

@@ -179,3 +179,41 @@ def test_a_run_ends_where_it_is_told_to_and_is_called_once_a_step_whatever_divid
     assert run.sweeps.shape == run.theta.shape == (7,)
     assert [round(time, 6) for time in run.trajectory.times] == [0.0, 0.05, 0.07]
     assert [round(time, 6) for time in called] == [0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06]
+
+
+def test_impulses_that_were_found_for_other_contacts_are_those_that_push():
+    """Where a contact goes, a solved state is one no more: its impulses are its starts, of which none pulls."""
+    state = dc.find_contacts(circles_at([[5.0, 1.0], [9.0, 1.0], [9.0, 2.9]], dt=0.01))
+    starts = np.array([-1.0, 2.0, 3.0])
+    contacts = state.contacts._replace(normal_start=starts, normal_impulse=np.full(3, 7.0))
+    solved = state.replace(contacts=contacts, solved=True)
+    pairs = list(zip(contacts.body_a, contacts.body_b))
+    gone = dc.find_contacts(solved.replace(bodies=dc.make_bodies([[5.0, 1.0], [9.0, 1.0], [9.0, 9.0]]))).contacts
+    kept = [k for k, pair in enumerate(pairs) if pair in set(zip(gone.body_a, gone.body_b))]
+    assert len(kept) == 2
+    np.testing.assert_array_equal(gone.normal_start, starts[kept])
+    np.testing.assert_array_equal(gone.normal_impulse, np.maximum(starts[kept], 0.0))
+    np.testing.assert_array_equal(dc.find_contacts(solved).contacts.normal_impulse, 7.0)
+
+
+PAST = {
+    "positions": (lambda scene: scene, True),
+    "contacts at step 0": (lambda scene: dc.find_contacts(scene), True),
+    "positions of a later step": (lambda scene: scene.replace(step=5), True),
+    "contacts of a later step": (lambda scene: dc.find_contacts(scene).replace(step=5), False),
+}
+"""What a run may begin from -> the state, and whether it has no past."""
+
+
+@pytest.mark.parametrize("name", PAST)
+def test_a_state_without_a_past_gets_one(name, monkeypatch):
+    made, (change, has_none) = [], PAST[name]
+    monkeypatch.setattr(simulation, "with_a_past", lambda state: made.append(state) or state)
+    state = change(dc.column(2))
+    for options in ({"accuracy": "fast"}, {"solver": dc.PGS()}, {"accuracy": "fast"} | {"steps": 0}):
+        dc.simulate(state, **{"steps": 0} | options)
+    assert len(made) == 2 * has_none  # not where the solver is the caller's
+    if has_none and state.contacts is not None:
+        start = np.ones(state.contacts.count)
+        dc.simulate(state.replace(contacts=state.contacts._replace(normal_start=start)), steps=0)
+        assert len(made) == 2

@@ -4,9 +4,11 @@ import json
 import math
 import os
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import observation
 
 import deep_contact as dc
 from deep_contact import trade as module
@@ -288,3 +290,192 @@ def test_the_command_line_and_recommend_lead_to_it(tmp_path, capsys):
     assert capsys.readouterr().out.startswith("hopper_20: 20 circles, 20 steps of 0.01 s, 1 seed")
     assert dc.load_trade(out).n_bodies == 20
     assert "dc.measure_trade(scene) measures it on this scene" in str(dc.recommend(dc.lattice_in_box(40, friction=0.9)))
+
+
+# ---- by hand, without a run ----
+
+SETTINGS = {f"PGS, {k} sweeps, Δt": {"method": "PGS", "sweeps": k, "dt": 0.01} for k in (2, 4)}
+CHEAP, DEAR = SETTINGS
+
+
+def by_hand(**changes):
+    """A trade of two settings on two circles, of which nothing is known yet."""
+    of_scene = {"scene": "two", "n_bodies": 2, "dt": 0.01, "steps": 40, "digests": ["a", "b"], "quantities": ["q"]}
+    return module.Trade(
+        **of_scene | {"settings": SETTINGS, "by_preset": {}, "reference": SETTINGS[DEAR], "seeds": 2} | changes
+    )
+
+
+def rows(**errors):
+    """Of both settings, which take 1 and 2 μs. errors: name -> (value, low, high) of each."""
+    return [
+        {"name": name, "setting": setting, "group": "PGS", "seeds": 2, "us": us, "errors": dict(zip(errors, three))}
+        for (name, setting), us, three in zip(SETTINGS.items(), (1.0, 2.0), zip(*errors.values()))
+    ]
+
+
+def test_noise_is_the_mean_error_of_pairs_that_are_swapped_half_of_the_time():
+    """Of two pairs (1.1 and 1), none, one, the other or both are swapped, a quarter of the time each."""
+    half, reference = [observation(kinetic=1.1, penetration=0.1)] * 2, [observation()] * 2
+    noise = module.noise_of(half, reference, swaps=400)
+    assert noise["energy"] == pytest.approx(0.25 * (10.0 + 0.0 + 0.0 + 10.0 / 1.1), abs=0.7)  # three standard errors
+    assert not noise.keys() & set(module.ABSOLUTE)
+    assert module.noise_of(half[:1], reference[:1]) == {}
+
+
+def test_seeds_are_enough_once_chance_makes_half_of_a_difference():
+    """Chance falls with the root of the seeds: of 6 it makes half of 6 %; half of 1.5 % takes 16 times as many."""
+    trade = by_hand(noise={"energy": 3.0}, seeds=6)
+    assert [trade.enough("energy", differ) for differ in (6.0, 1.5)] == [6, 96]
+    assert trade.enough("height", 1.0) == 0
+
+
+@pytest.mark.parametrize(
+    ("cheap", "dear", "chosen"),
+    [
+        ((1.0, 0.5, 2.1), (1.0, 0.5, 1.9), DEAR),  # the upper end decides
+        ((1.0, 0.5, 1.9), (0.1, 0.0, 0.2), CHEAP),  # without a margin
+        ((1.8, 1.0, 2.1), (1.6, 1.0, 2.1), DEAR),  # neither end keeps it: the value does, with a margin
+        ((1.8, 1.0, 2.1), (1.9, 1.0, 2.1), CHEAP),  # or without
+        (None, (1.9, 1.0, 2.1), DEAR),
+    ],
+)
+def test_what_is_chosen_keeps_a_tolerance_at_the_upper_end_or_with_a_margin(cheap, dear, chosen):
+    trade = by_hand(rows=rows(energy=(cheap, dear)))
+    assert trade.chosen(energy=2.0)["name"] == chosen
+
+
+def test_the_nearest_is_taken_where_nothing_keeps_a_tolerance_and_a_budget_of_seeds_is_said():
+    trade = by_hand(rows=rows(energy=((9.0, 1.0, 9.5), (8.0, 7.0, 9.9))), noise={"energy": 2.0})
+    with pytest.warns(dc.presets.PresetWarning, match="no setting keeps it"):
+        assert trade.chosen(energy=5.0)["name"] == DEAR
+    with pytest.warns(dc.presets.PresetWarning) as said:
+        trade.chosen(energy=2.0)
+    assert str(said[0].message) == "energy: seeds alone make an error of 2, asked for was 2; 8 seeds would do"
+
+
+@pytest.mark.parametrize(("count", "is_said"), [(49, True), (50, False), (200, False), (201, True)])
+def test_a_scene_of_twice_or_half_the_circles_is_another(count, is_said):
+    trade = by_hand(rows=rows(energy=((1.0, 1.0, 1.0),) * 2), n_bodies=100)
+    scene = SimpleNamespace(dt=0.01, bodies=SimpleNamespace(count=count))
+    assert bool(trade.decide(scene).warnings) == is_said
+
+
+def test_errors_of_quantities_are_shares_that_are_shown_in_percent():
+    trade = by_hand(rows=rows(energy=((3.0, 2.0, 4.0),) * 2, q=((0.05, 0.04, 0.06),) * 2))
+    header, line, _ = trade.table()
+    assert dict(zip(header, line)) == {
+        "ms a step": "0.001",
+        "energy": "3",
+        "q": "5",
+        "keeps": line[-2],
+        "setting": CHEAP,
+    }
+    assert [module._text(name, 0.05) for name in ("q", "energy", "contacts")] == ["5 %", "0.05 %", "0.05"]
+
+
+def test_the_runs_of_two_seeds_are_timed_but_for_the_references():
+    assert [module._is_timed(by_hand(), CHEAP, i) for i in range(4)] == [True, True, False, False]
+    assert not module._is_timed(by_hand(), module.REFERENCE, 0)
+
+
+def test_copies_of_a_state_are_shifted_by_a_thousandth_of_the_slop():
+    scene = dc.lattice_in_box(100, radius=(3.0, 3.0))
+    one, other = (copy.bodies.position - scene.bodies.position for copy in module.copies(scene, [1, 2]))
+    for shift in (one, other):
+        assert 0.9e-3 * scene.scales.slop < np.abs(shift).max() <= 1e-3 * scene.scales.slop
+    assert np.abs(one - other).max() > 1e-3 * scene.scales.slop
+
+
+def test_an_earlier_trade_gives_the_runs_of_the_seeds_and_settings_that_it_shares():
+    seen = {(name, i): (1.0, observation()) for name in (CHEAP, DEAR, module.REFERENCE, module.HALF) for i in range(2)}
+    before = by_hand(observed=seen, digests=["a", "other"], settings=SETTINGS | {DEAR: SETTINGS[CHEAP]})
+    assert module._known(by_hand(), before).keys() == {(name, 0) for name in (CHEAP, module.REFERENCE, module.HALF)}
+
+
+def judged(**observed):
+    """A trade that has judged these runs: "reference", "half" or "cheap" -> kinetic energy of each seed."""
+    names = {"reference": module.REFERENCE, "half": module.HALF, "cheap": CHEAP}
+    trade = by_hand(
+        observed={
+            (names[name], i): (2.0 * (i + 1) if name == "cheap" and i < 2 else None, observation(kinetic=energy))
+            for name, runs in observed.items()
+            for i, energy in enumerate(runs)
+        }
+    )
+    module._judge(trade)
+    return trade
+
+
+def test_noise_of_fewer_runs_is_scaled_to_all_seeds():
+    """The reference's half step is run for two of eight seeds: chance of eight is half as large."""
+    trade = judged(reference=[1.0] * 8, half=[1.1, 1.2])
+    pairs = [observation(kinetic=energy) for energy in (1.1, 1.2)], [observation()] * 2
+    assert trade.seeds == 8
+    assert trade.noise["energy"] == pytest.approx(0.5 * module.noise_of(*pairs)["energy"])
+    assert trade.converged["energy"] == pytest.approx(15.0)
+
+
+def test_a_row_has_the_mean_time_of_a_step_and_the_seeds_that_the_reference_has():
+    (row,) = judged(reference=[1.0] * 2, cheap=[1.1, 1.1, 9.0]).rows
+    assert (row["us"], row["seeds"]) == (pytest.approx(1e6 * 3.0 / 40), 2)
+    assert row["errors"]["energy"] == pytest.approx((10.0, 10.0, 10.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "noise", "change", "is_said"),
+    [
+        ("energy", 1.0, 3.9, False),  # one of four seeds is checked: chance makes twice the noise, 2 %
+        ("energy", 1.0, 4.1, True),
+        ("energy", 0.0, 0.9, False),  # 1 % at least
+        ("energy", 0.0, 1.1, True),
+        ("q", 0.0, 0.009, False),  # of a share, too
+        ("q", 0.0, 0.011, True),
+    ],
+)
+def test_a_reference_is_not_converged_where_half_its_step_changes_more_than_chance_and_1_percent(
+    name, noise, change, is_said
+):
+    trade = by_hand(noise={name: noise}, converged={name: change}, seeds=4)
+    notes = list(module._sentences(trade, [observation()], 1))
+    assert any(note.startswith(f"the reference is not converged in {name}") for note in notes) == is_said
+
+
+@pytest.mark.parametrize(("differ", "is_said"), [(0.0, False), (1e-4, False), (0.1, True), (1.9, True), (2.1, False)])
+def test_an_error_is_undecided_where_chance_makes_more_than_settings_differ(differ, is_said):
+    errors = (3.0, 2.0, 4.0), (3.0 + differ, 2.0, 4.0)
+    trade = by_hand(noise={"energy": 2.0}, rows=rows(energy=errors))
+    notes = list(module._sentences(trade, [observation()], 1))
+    assert any("energy is undecided: seeds alone make 2 %" in note for note in notes) == is_said
+
+
+@pytest.mark.parametrize(("parted_at", "text"), [(3, "one another for 0.3 s"), (0, "for 0 s"), (9, "stay together:")])
+def test_copies_are_together_until_the_last_time_before_a_hundredth_of_a_radius_lies_between_them(
+    parted_at, text, monkeypatch
+):
+    """Of two circles of 2 m one is 0.03 m off: root mean square 0.021 m."""
+    states = [dc.State(name="two", world=dc.World(), bodies=make_bodies([[5, 5], [15, 5]], radius=2.0))] * 2
+    shifts = iter([[0.0] * 9, [0.0] * parted_at + [0.03] * (9 - parted_at)])
+    near = lambda state, shift: state.replace(bodies=make_bodies([[5, 5], [15, 5 + shift]], radius=2.0))  # noqa: E731
+    monkeypatch.setattr(module, "states_of", lambda state, *_: [near(state, shift) for shift in next(shifts)])
+    assert text in module._together(states, by_hand(by_preset={"fast": CHEAP}), 9, 0.1)
+
+
+def test_a_run_is_timed_after_its_first_steps_until_that_took_long_enough(monkeypatch):
+    """The first five steps of a run take 100 s, those that count 9, 8, 4, … ms: 21 ms are enough, the least is kept."""
+    clock, took, done = [0.0], iter([0.009, 0.008, 0.004, 0.001]), []
+
+    class Slow:
+        def __init__(self, *_):
+            self.steps = 0
+
+        def advance(self, steps):
+            clock[0] += next(took) if self.steps == module.WARM else 100.0
+            self.steps += steps
+            done.append(steps)
+
+    monkeypatch.setattr(module, "Run", Slow)
+    monkeypatch.setattr(module, "time", SimpleNamespace(thread_time=lambda: clock[0], perf_counter=None))
+    scene = SimpleNamespace(bodies=SimpleNamespace(count=2))
+    assert module.timed(scene, SETTINGS[CHEAP], 0.4) == pytest.approx(0.004)
+    assert done == [module.WARM, 40] * 3

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import run_python
+from conftest import circles_at, run_python
 
 import deep_contact as dc
 from deep_contact.physics.lcp import contact_problem
@@ -133,3 +133,11 @@ def test_all_starts_reach_the_same_velocities_without_friction(frictionless_stat
     expected = dc.solve_contacts(state, solver=solver, start="copy").velocities
     for start in ("none", "random", "bad"):
         np.testing.assert_allclose(dc.solve_contacts(state, solver=solver, start=start).velocities, expected, atol=1e-9)
+
+
+def test_a_bad_start_is_too_large_everywhere_and_rubs_the_wrong_way():
+    state = dc.find_contacts(circles_at([[5.0, 1.0], [9.0, 1.0]], friction=0.5))
+    impulses = {"normal_impulse": np.array([1.0, 4.0]), "tangent_impulse": np.array([0.2, -0.3])}
+    state = state.replace(contacts=state.contacts._replace(**impulses), solved=True, solver=dc.PGS())
+    normal, tangent = Bad(factor=3.0)(state, None)
+    assert (normal.tolist(), tangent.tolist()) == ([12.0, 12.0], [-6.0, 6.0])

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+from types import SimpleNamespace
 
 import h5py
 import keras
@@ -11,7 +12,7 @@ import pytest
 from conftest import run_python
 
 import deep_contact as dc
-from deep_contact.cnn import far_field, inference, model_file, registry
+from deep_contact.cnn import evaluation, far_field, inference, model_file, registry
 from deep_contact.cnn.architectures import build
 from deep_contact.cnn.evaluation import held_out_errors, velocity_errors
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
@@ -402,3 +403,26 @@ def test_a_start_by_name_reads_the_model_again_only_if_the_file_changes(tmp_path
     assert first is again
     os.utime(path, ns=(0, 0))
     assert warm_start_of("cnn").model is not first
+
+
+@pytest.mark.parametrize("shape", [(16, 9), (9, 16), (9, 9, -1), (9, 9, 0, 1)])
+def test_a_far_field_network_names_the_sides_that_it_takes(shape):
+    model = dc.load_model()
+    channels = len(model.spec.channels)
+    assert model._output_shape((17, 9, channels)) == (9, 5, len(model.spec.targets))
+    shape = (*shape[:2], channels + sum(shape[2:3]), *shape[3:])
+    with pytest.raises(ValueError, match=r"image: expected shape \(8 j \+ 1, 8 k \+ 1, "):
+        model.run(np.zeros(shape))
+
+
+def test_errors_of_held_out_states_are_means_and_medians_by_phase(monkeypatch):
+    """States without a finite error are left out."""
+    seen = [("impact", 1.0, 2.0), ("impact", 2.0, 4.0), ("impact", 6.0, 9.0), ("rest", 3.0, 1.0), ("rest", np.inf, 1.0)]
+    states = [SimpleNamespace(phase=phase, errors=errors, solver=None) for phase, *errors in seen]
+    monkeypatch.setattr(evaluation, "phase", lambda state: state.phase)
+    monkeypatch.setattr(evaluation, "velocity_errors", lambda state, start, sweeps: start * np.array(state.errors))
+    starts = {"one": lambda state, solver: 1.0, "ten": lambda state, solver: 10.0}
+    found = held_out_errors(states, starts, sweeps=(0, 5))["phases"]
+    assert {phase: of["states"] for phase, of in found.items()} == {"impact": 3, "settling": 0, "rest": 1, "all": 4}
+    assert found["impact"]["one"] == {"mean": [3.0, 5.0], "median": [2.0, 4.0]}
+    assert found["all"]["ten"] == {"mean": [30.0, 40.0], "median": [25.0, 30.0]}

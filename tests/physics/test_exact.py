@@ -237,3 +237,14 @@ def test_nothing_to_solve():
     assert found[1:] == (0.0, True, 0, 0)
     assert found.solution.record.status == "no_contacts"
     np.testing.assert_allclose(found.solution.velocities, [[0.0, -0.0981]], rtol=1e-12)
+
+
+@pytest.mark.parametrize(("residual", "status"), [(0.11, "converged"), (0.09, "max_sweeps")])
+def test_converged_is_what_leaves_no_more_than_the_residual(residual, status, monkeypatch):
+    """A circle on the floor that nothing carries: g Δt = 0.098 m/s."""
+    state = dc.find_contacts(circles_at([[5.0, 1.0]]))
+    monkeypatch.setattr(exact, "_solved", lambda *_: (np.zeros(2), 3, 4))
+    found = solve_exactly(state, residual=residual)
+    assert found.residual == pytest.approx(0.0981)
+    assert (found.converged, found.solution.record.status) == (status == "converged", status)
+    assert (found.factorizations, found.pivots) == (3, 4)

@@ -137,6 +137,19 @@ def test_the_stress_of_a_disc_between_two_walls_is_that_of_the_load():
         np.testing.assert_allclose(total, np.einsum("i,ijk->jk", area, dc.stress(state)), rtol=1e-12)
 
 
+def test_rows_of_the_stress_are_arms_and_columns_forces():
+    """σ = −l ⊗ f / (π r²) at one contact below a circle: l = (0, −r), so that its first row is 0."""
+    state = dc.find_contacts(circles_at([[7.0, 1.01 - 1e-9]], box=(0.0, 0.0, 10.0, 4.0)))
+    contacts = state.contacts._replace(normal_impulse=np.array([0.03]), tangent_impulse=np.array([0.01]))
+    state = state.replace(contacts=contacts)
+    np.testing.assert_allclose(dc.forces(state).net, [[1.0, 3.0]])
+    np.testing.assert_allclose(dc.stress(state), np.array([[[0.0, 0.0], [1.0, 3.0]]]) / np.pi, atol=1e-8)
+    mean = dc.mean_stress(state, 2.0)  # 5 columns and 2 rows from the bottom, of 4 m²
+    assert mean.shape == (2, 5, 2, 2)
+    np.testing.assert_allclose(mean[0, 3], [[0.0, 0.0], [0.25, 0.75]], atol=1e-8)
+    assert np.count_nonzero(mean.any(axis=(2, 3))) == 1
+
+
 def test_circles_that_fly_dissipate_nothing_and_a_fall_dissipates_its_height():
     fall = circles_at([[15.0, 20.0], [5.0, 8.0]], velocity=[1.0, 0.0])
     flight = dc.simulate(fall, steps=60, solver=dc.PGS(substeps=2), record=10).trajectory

@@ -1,11 +1,14 @@
 """A load that changes: what was solved for another one must not become velocity."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
+from deep_contact.physics import load
 from deep_contact.physics.load import load_of
 
 PRESETS = "preview", "fast", "balanced", "accurate", "reference"
@@ -113,3 +116,17 @@ def test_a_gas_that_goes_on_is_divided_as_it_was():
     whole = dc.simulate(scene, steps=60, accuracy="fast").state
     parts = dc.simulate(dc.simulate(scene, steps=30, accuracy="fast").state, steps=30, accuracy="fast").state
     assert parts == whole
+
+
+@pytest.mark.parametrize(
+    ("speed", "left", "relaxed", "solved"),
+    [(0.13, 0.0019, 1, 0), (0.13, 0.0021, 1, 1), (0.15, 0.0, 0, 1)],  # a step of gravity is 0.098 m/s
+)
+def test_what_moves_or_does_not_rest_is_solved_well(speed, left, relaxed, solved, monkeypatch):
+    state, called = circles_at([[5.0, 5.0]], velocity=[[speed, 0.0]]), {"at_rest": [], "solve": []}
+    solution = SimpleNamespace(normal_impulses="n", tangent_impulses="t")
+    monkeypatch.setattr(load, "at_rest", lambda *start, **how: called["at_rest"].append(how) or ("n", "t", left))
+    monkeypatch.setattr(load, "solve", lambda state, solver, *start: called["solve"].append(solver) or solution)
+    load._good(state, None, None, None, None)
+    assert called["at_rest"] == [{"iterations": 2000, "speed": pytest.approx(1e-4 * 0.0981)}] * relaxed
+    assert called["solve"] == [dc.NesterovPGS(sweeps=500, tolerance=None)] * solved

@@ -119,3 +119,10 @@ def test_a_pile_at_rest_stays_at_rest_without_its_impulses():
     )
     assert max(map(rms_speed, run.trajectory)) < max(map(rms_speed, kept.trajectory)) + 0.01
     assert np.abs(run.state.bodies.position - past.bodies.position).max() < 0.005
+
+
+def test_the_speed_that_is_left_is_that_of_the_circles_alone():
+    """Two circles at 5 m/s and 0, and four walls, which belts may move."""
+    v = np.array([[3.0, 4.0, 9.0, 1.0], [0.0, 0.0, 9.0, 1.0], *[[7.0, 7.0, 7.0, 0.0]] * 4])
+    assert relaxation.rms_speed(v) == pytest.approx(5.0 / np.sqrt(2.0))
+    assert relaxation.rms_speed(v[2:]) == 0.0
