@@ -4,12 +4,13 @@ import os
 
 import numpy as np
 import pytest
-from conftest import solved_states
+from conftest import circles_at, solved_states
 from matplotlib import animation, colormaps
 from PIL import Image
 
 import deep_contact as dc
 from deep_contact.physics.metrics import kinetic_energy
+from deep_contact.reporting.film import Canvas
 from deep_contact.trajectory import Trajectory, load_trajectory
 
 
@@ -83,3 +84,23 @@ def test_an_mp4_gets_the_pictures_or_says_that_ffmpeg_is_missing(run, tmp_path, 
     monkeypatch.setattr(animation.writers, "is_available", lambda writer: False)
     with pytest.raises(ValueError, match="path: expected"):
         run.film(tmp_path / "fall.mp4")
+
+
+def test_lines_of_a_film_are_as_wide_as_their_impulses_and_walls_lie_at_the_edge_of_the_box():
+    """A box of 10 m × 4 m in 216 pixels: 20 a metre, 8 around. Of the largest impulse a line is 8 pixels wide."""
+    state = dc.find_contacts(
+        circles_at([[4.0, 2.0], [6.0, 2.0]], box=(0.0, 0.0, 10.0, 4.0), velocity=[[0, 0], [3.0, 0]])
+    )
+    canvas, widths = Canvas(state.world, size=216, fastest=6.0, strongest=2.0), []
+    for impulse in (2.0, 5.0, 1.0):
+        contacts = state.contacts._replace(normal_impulse=np.full(state.contacts.count, impulse))
+        picture = canvas(state.replace(contacts=contacts)).astype(float)
+        column = picture[:, 8 + 20 * 5]
+        widths.append(np.sum(np.abs(column - column[8 + 20 * 2]).max(axis=1) < 60))
+    assert picture.shape == (96, 216, 3)
+    np.testing.assert_allclose(widths, [8, 8, 4], atol=1)
+    speed = 255 * np.array(colormaps["viridis"](0.5)[:3])
+    assert np.abs(picture[8 + 20 * 2 - 10, 8 + 20 * 6] - speed).max() < 3
+    grey = picture.mean(axis=2)
+    assert max(grey[8, 50], grey[88, 50], grey[50, 8], grey[50, 208]) < 100  # the four walls
+    assert grey[4, 50] == grey[92, 50] == grey[50, 212] == 255

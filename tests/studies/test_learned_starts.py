@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import load_script
 
 import deep_contact as dc
 from deep_contact.studies import learned_starts
@@ -78,3 +79,36 @@ def test_a_learned_start_is_timed_against_the_best_classical_setting():
     assert learned_starts.median_with_interval(ratios) is None
     np.testing.assert_allclose(learned_starts.median_with_interval(np.tile(ratios, 5)), 0.9)
     assert learned_starts.price_of([pile]) == {"ms": 1000.0, "in sweeps": 1.0}
+
+
+def test_a_learned_start_that_reaches_an_error_on_half_of_the_states_alone_has_no_ratio():
+    """One sweep takes 1 s, the start none; of four states the error is reached on two, by the learned start alone."""
+    never, soon = [1.0, 1.0], [1.0, 0.01]
+    errors = {name: [never] * 4 for name in TIMED} | {f"{LEARNED}, {BASE}": [soon, soon, never, never]}
+    seconds = {"start_seconds": {name: [0.0] * 4 for name in (*CLASSICAL, LEARNED)}}
+    pile = {"errors": errors, **seconds, "sweep_seconds": dict.fromkeys(("PGS", BASE, "NNCG", "NesterovPGS"), 1.0)}
+    assert learned_starts.time_ratios([pile], (0, 10), 0.1).size == 0
+    pile["errors"][f"{LEARNED}, {BASE}"] = [soon, soon, soon, never]
+    np.testing.assert_array_equal(learned_starts.time_ratios([pile], (0, 10), 0.1), 0.0)
+    assert learned_starts.median_with_interval(np.ones(9)) is None
+    assert learned_starts.median_with_interval(np.ones(10)) == [1.0, 1.0, 1.0]
+
+
+def test_break_even_counts_what_is_below_1_by_its_interval(monkeypatch):
+    """Wins: whole intervals below 1; ties: intervals that hold 1. The price is that of the fewest circles."""
+    script = load_script("figure_6_10")
+    none, low, around, high = np.ones(3), np.full(12, 0.5), np.repeat([0.5, 2.0], 6), np.full(12, 2.0)
+    ratios = [low, around, high, *[none] * (len(script.TOLERANCES) - 3)]
+    piles = {
+        n: [{"start_seconds": {LEARNED: [ms / 1e3]}, "sweep_seconds": {"PGS": 1e-4}}]
+        for n, ms in ((100, 0.5), (1000, 9.0))
+    }
+    cases = {("resting", 1000): (piles[1000], ratios), ("falling", 100): (piles[100], [none] * len(ratios))}
+    monkeypatch.setattr(script, "cases", lambda data: cases)
+    wins, price = script.claims(None)
+    assert {name: wins.measured[name] for name in ("cases", "wins", "ties")} == {"cases": 3, "wins": 1, "ties": 1}
+    assert wins.measured["best"][0] == {"where": "1000, resting, 0.5", "ratio": 0.5, "from": 0.5, "to": 0.5}
+    assert wins.holds
+    assert (price.holds, price.measured) == (True, {"ms": 0.5})
+    cases["falling", 100][0][0]["start_seconds"][LEARNED] = [0.51e-3]
+    assert [*script.claims(None)][1].holds is False
