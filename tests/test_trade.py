@@ -397,11 +397,12 @@ def judged(**observed):
     """A trade that has judged these runs: "reference", "half" or "cheap" -> kinetic energy of each seed."""
     names = {"reference": module.REFERENCE, "half": module.HALF, "cheap": CHEAP}
     trade = by_hand(
+        steps=241,  # in 120 intervals of two
         observed={
             (names[name], i): (2.0 * (i + 1) if name == "cheap" and i < 2 else None, observation(kinetic=energy))
             for name, runs in observed.items()
             for i, energy in enumerate(runs)
-        }
+        },
     )
     module._judge(trade)
     return trade
@@ -418,7 +419,7 @@ def test_noise_of_fewer_runs_is_scaled_to_all_seeds():
 
 def test_a_row_has_the_mean_time_of_a_step_and_the_seeds_that_the_reference_has():
     (row,) = judged(reference=[1.0] * 2, cheap=[1.1, 1.1, 9.0]).rows
-    assert (row["us"], row["seeds"]) == (pytest.approx(1e6 * 3.0 / 40), 2)
+    assert (row["us"], row["seeds"]) == (pytest.approx(1e6 * 3.0 / 240), 2)
     assert row["errors"]["energy"] == pytest.approx((10.0, 10.0, 10.0))
 
 
