@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import circles_at
+from conftest import circles_at, load_script
 
-from deep_contact.studies import savings
+savings = load_script("figure_6_7")
 
 
 def test_a_saving_is_the_ratio_of_what_whole_runs_take():

@@ -9,7 +9,8 @@ from conftest import circles_at, load_script
 import deep_contact as dc
 from deep_contact.bounds import ForceBounds
 from deep_contact.physics.engine import ContactSolution
-from deep_contact.studies import determinacy
+
+determinacy = load_script("figure_6_15")
 
 
 @pytest.fixture
@@ -65,16 +66,19 @@ def pile(widths, *, friction=0.5, kind="resting", exact=True, **errors):
 
 def test_claims_are_about_the_median_of_piles():
     """Of ten contacts the fifth and the ninth count; an open end is none in JSON; what is not exact is left out."""
-    script = load_script("figure_6_15")
     ends = [*np.arange(9.0), None]
     piles = [pile(ends), pile(ends[::-1]), pile([0.0] * 10), pile([9.0] * 10, exact=False)]
-    assert script.widths({"piles": piles}, ("resting", 30, 0.5, 0.8)).tolist() == [[4.0, 8.0], [4.0, 8.0], [0.0, 0.0]]
+    assert determinacy.widths({"piles": piles}, ("resting", 30, 0.5, 0.8)).tolist() == [
+        [4.0, 8.0],
+        [4.0, 8.0],
+        [0.0, 0.0],
+    ]
     starts = {"Builtin": [0.0, 0.0], "PGS from zero": [0.1, 0.5], "NNCG from zero": [0.3, 0.5]}
     smooth = [pile([1e-9], friction=0.0), pile([1e-7], friction=0.0), pile([1e-3], friction=0.0)]
     data = {"piles": [*piles, *smooth, pile([0.0], kind="settling"), pile([4.0], **starts)]}
-    determined, open_, far = script.claims(data)
+    determined, open_, far = determinacy.claims(data)
     assert (determined.holds, determined.measured) == (True, {"width": pytest.approx(1e-7)})
     assert open_.holds
     assert far.holds
-    narrow, near = script.claims({"piles": [pile([0.4], **{"PGS from zero": [0.09, 0.5]})]})
+    narrow, near = determinacy.claims({"piles": [pile([0.4], **{"PGS from zero": [0.09, 0.5]})]})
     assert [narrow.holds, near.holds] == [False, False]
