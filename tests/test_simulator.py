@@ -2,12 +2,14 @@
 
 import pickle
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from conftest import circles_at
 
 import deep_contact as dc
+from deep_contact.compiled.direct import OFTEN, Direct
 from deep_contact.simulation import with_time_step
 
 WAYS = {
@@ -164,11 +166,31 @@ def test_a_step_that_is_interrupted_or_diverges_leaves_the_last_whole_step(way, 
 def test_a_step_takes_few_calls_of_python(pile):
     # Some hundred, with states and types made anew, are what a step of ten circles took twenty times as long by.
     run, calls = dc.Simulator(pile[0], **pile[1]), []
-    run.step()
-    run.step()
+    for _ in range(OFTEN + 1):  # until types are known
+        run.step()
     sys.setprofile(lambda frame, event, argument: calls.append(event) if event == "call" else None)
     try:
         run.step()
     finally:
         sys.setprofile(None)
     assert len(calls) < 25
+
+
+def test_types_are_looked_at_once_and_only_of_what_is_called_often():
+    # It takes longer than all else of `dc.step`, whose functions are called once.
+    class Function:
+        looks, overloads = 0, {("int",): SimpleNamespace(entry_point=lambda x: -x)}
+
+        def __call__(self, x):
+            return x
+
+        def typeof_pyval(self, x):
+            self.looks += 1
+            return type(x).__name__
+
+    function = Function()
+    direct = Direct(function)
+    assert [direct(k) for k in range(OFTEN - 1)] == list(range(OFTEN - 1))
+    assert function.looks == 0
+    assert [direct(3), direct(4), direct(5)] == [3, -4, -5]
+    assert function.looks == 1
