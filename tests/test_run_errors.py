@@ -195,3 +195,11 @@ def test_no_value_lies_outside_of_its_reach():
     value, reach = with_reach([1.0, 1.2, 2.0])  # the interval of a bootstrap may lie above the value
     assert value == 1.0
     np.testing.assert_array_equal(reach, [[0.0], [1.0]])
+
+
+def test_loads_are_those_of_the_last_observations():
+    """Five observations of loads 1 and 3, then twenty of equal ones: all of these are their mean."""
+    state = dc.simulate(dc.two_bodies(speed=0.0), steps=0).state.replace(world=dc.World(gravity=(0, -1.0)))
+    kinds = [SimpleNamespace(separation=np.zeros(2), normal_start=np.array(pair)) for pair in ([1.0, 3.0], [5.0, 5.0])]
+    seen = observe([state.replace(time=float(k), contacts=kinds[k >= 5]) for k in range(5 + REST)])
+    np.testing.assert_array_equal(seen.loads, LOADS >= 1.0)

@@ -480,3 +480,10 @@ def test_a_run_is_timed_after_its_first_steps_until_that_took_long_enough(monkey
     scene = SimpleNamespace(bodies=SimpleNamespace(count=2))
     assert module.timed(scene, SETTINGS[CHEAP], 0.4) == pytest.approx(0.004)
     assert done == [module.WARM, 40] * 3
+
+
+@pytest.mark.parametrize(("factor", "is_kept"), [(1.0, True), (1.01, False)])
+def test_a_table_names_the_best_preset_that_a_setting_keeps(factor, is_kept):
+    errors = {name: ((factor * most,) * 3,) * 2 for name, most in dc.presets.PRESETS["accurate"].items()}
+    header, *lines = by_hand(rows=rows(**errors)).table()
+    assert [line[header.index("keeps")] == "accurate" for line in lines] == [is_kept] * 2

@@ -1,5 +1,6 @@
 """Files are written in one move, where they were meant, by whoever writes at the same time."""
 
+import gzip
 import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
@@ -9,7 +10,7 @@ import pytest
 import deep_contact as dc
 from deep_contact import trade
 from deep_contact.__main__ import main
-from deep_contact.io import contacts_csv
+from deep_contact.io import contacts_csv, files
 from deep_contact.io.files import check_writable, write_bytes
 
 NOWHERE = "/proc/run.xml"
@@ -112,3 +113,12 @@ def test_sigterm_keeps_what_a_trade_has_measured_as_ctrl_c_does(tmp_path, monkey
     assert main(["trade", *words]) == 0
     assert len(calls) == 12
     assert "interrupted: this is what was known then" in dc.load_trade(out).notes
+
+
+@pytest.mark.parametrize("pack", [bytes, gzip.compress], ids=["plain", "packed"])
+def test_a_file_has_at_most_the_bytes_that_are_read(pack, tmp_path):
+    path, content = tmp_path / "file", bytes(200)
+    path.write_bytes(pack(content))
+    assert files.read_bytes(path, 200) == content
+    with pytest.raises(ValueError, match="expected at most 199 bytes"):
+        files.read_bytes(path, 199)

@@ -1,5 +1,6 @@
 """What makes a stored result old, and what does not; and that the site says so."""
 
+import ast
 import sys
 
 import pytest
@@ -168,3 +169,19 @@ def test_the_constraints_are_the_versions_that_made_the_results():
     versions = dict(line.split("==") for line in lines if "==" in line)
     for name in staleness.commands():
         assert versions.items() >= staleness.made(name)["packages"].items(), name
+
+
+def test_numbers_come_from_what_compute_needs_directly_or_not():
+    """Not from what draws, nor from what nothing needs."""
+    lines = [
+        "from package import solve",
+        "X = 1",
+        "def helper(): return solve(X)",
+        "def compute(): return helper()",
+        "COLOUR = 2",
+        "def draw(): return COLOUR",
+        "FIGURE = Figure('1.1', 'title', compute, None, draw)",
+    ]
+    needed = [ast.unparse(one) for one in staleness._needed(ast.parse("\n".join(lines)).body)]
+    assert [one.splitlines()[0] for one in needed[:-1]] == [line.split(" return")[0] for line in lines[:4]]
+    assert "draw" not in needed[-1]

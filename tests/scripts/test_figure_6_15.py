@@ -12,6 +12,9 @@ from deep_contact.physics.engine import ContactSolution
 
 determinacy = load_script("figure_6_15")
 
+SEED = 5
+"""Draws two of three contacts that do not rise."""
+
 
 @pytest.fixture
 def measured(monkeypatch):
@@ -26,7 +29,7 @@ def measured(monkeypatch):
 
     monkeypatch.setattr(determinacy, "force_bounds", force_bounds)
     monkeypatch.setattr(determinacy, "solve_exactly", lambda past: SimpleNamespace(converged=True, solution=solution))
-    return determinacy.measure(state, 2, 0, []), *seen[0]
+    return determinacy.measure(state, 2, SEED, []), *seen[0]
 
 
 def test_widths_are_those_of_drawn_contacts_over_the_mean_impulse(measured):
@@ -65,16 +68,16 @@ def pile(widths, *, friction=0.5, kind="resting", exact=True, **errors):
 
 
 def test_claims_are_about_the_median_of_piles():
-    """Of ten contacts the fifth and the ninth count; an open end is none in JSON; what is not exact is left out."""
-    ends = [*np.arange(9.0), None]
-    piles = [pile(ends), pile(ends[::-1]), pile([0.0] * 10), pile([9.0] * 10, exact=False)]
+    """Of four contacts the third and the last count; an open end is none in JSON; what is not exact is left out."""
+    ends = [0.0, 1.0, 2.0, None]
+    piles = [pile(ends), pile(ends[::-1]), pile([0.0] * 4), pile([9.0] * 4, exact=False)]
     assert determinacy.widths({"piles": piles}, ("resting", 30, 0.5, 0.8)).tolist() == [
-        [4.0, 8.0],
-        [4.0, 8.0],
+        [2.0, np.inf],
+        [2.0, np.inf],
         [0.0, 0.0],
     ]
     starts = {"Builtin": [0.0, 0.0], "PGS from zero": [0.1, 0.5], "NNCG from zero": [0.3, 0.5]}
-    smooth = [pile([1e-9], friction=0.0), pile([1e-7], friction=0.0), pile([1e-3], friction=0.0)]
+    smooth = [pile([0.0, 0.0, 0.0, width], friction=0.0) for width in (1e-9, 1e-7, 1e-3)]
     data = {"piles": [*piles, *smooth, pile([0.0], kind="settling"), pile([4.0], **starts)]}
     determined, open_, far = determinacy.claims(data)
     assert (determined.holds, determined.measured) == (True, {"width": pytest.approx(1e-7)})

@@ -108,6 +108,7 @@ def test_short_ranges_far_out_give_way_to_long_ones():
     where = np.array([1, 0, 1, 1, 1, 1, 0, 1, 0, 0], dtype=bool)
     assert verdicts.ranges(SWEEPS, where) == "1, 5 to 50"
     assert verdicts.ranges(SWEEPS, np.arange(10) == 7) == "200"
+    assert verdicts.ranges(SWEEPS, np.isin(np.arange(10), [0, 4, 6, 7])) == "1, 100 to 200"
 
 
 @pytest.mark.parametrize(
