@@ -45,7 +45,7 @@ _ARGUMENTS = frozenset(
 _NETWORKS = {"Functional": ("name", "input_layers", "output_layers"), "Sequential": ("name",)}
 """Kind of network -> what is kept of its configuration beside the layers."""
 
-_ACTIVATIONS = (None, "linear", "relu")
+_ACTIVATIONS = (None, "linear", "relu", "tanh")
 
 
 class ModelFileError(FileError):

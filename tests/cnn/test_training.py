@@ -205,9 +205,9 @@ def test_bad_settings_are_named(field, value):
         (["--ratee", "3"], 2, "unrecognized arguments: --ratee 3"),
         (["--rate", "abc"], 2, "invalid float value: 'abc'"),
         (["--options", "width"], 2, "invalid option value: 'width'"),
-        (["--epochs", "0"], 1, "epochs: expected"),
-        (["--data", "nowhere"], 1, "nowhere: expected"),
-        (["--from", "nowhere.h5"], 1, "nowhere.h5, which does not exist"),
+        (["--epochs", "0"], 2, "epochs: expected"),
+        (["--data", "nowhere"], 3, "nowhere: expected"),
+        (["--from", "nowhere.h5"], 3, "nowhere.h5, which does not exist"),
     ],
 )
 def test_what_is_wrong_is_said_without_the_list_of_options(flags, status, message, capsys):
@@ -216,7 +216,7 @@ def test_what_is_wrong_is_said_without_the_list_of_options(flags, status, messag
     assert ended.value.code == status
     *usage, line = capsys.readouterr().err.splitlines()
     assert message in line
-    assert len(usage) == (status == 2)
+    assert len(usage) == message.startswith(("unrecognized", "invalid"))
 
 
 def test_ctrl_c_ends_training_with_one_line(data, tmp_path, monkeypatch, capsys):

@@ -112,7 +112,7 @@ def test_a_proximal_step_solves_its_problem(falling_states, k, friction, monkeyp
     assert step(start, epsilon, 5)[:2] == (None, 5)
     for refresh in (proximal_path.REFRESH, 3):
         monkeypatch.setattr(proximal_path, "REFRESH", refresh)
-        end, pivots, _ = step(start, epsilon, 1000)
+        end, pivots, _ = step(start, epsilon, 5000)
         impulse = end.ravel()
         u = A @ impulse + problem.b + epsilon * np.diag(A) * impulse
         free = impulse - u / np.diag(A)
