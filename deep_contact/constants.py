@@ -12,8 +12,8 @@ LINEAR_SLOP = 0.005
 WALL_SKIN = 0.01
 """Walls are felt this far ahead of their surface, m (`b2_polygonRadius` of Box2D's edge shapes)."""
 
-NEARLY = 1.0 + 1e-4
-"""Circles, walls and segments touch within so many times their reach: circles of 1 m with a gap of 2e-4 m, 1 / 25 of
+NEARLY = 1.0 + 2e-5
+"""Circles, walls and segments touch within so many times their reach: circles of 1 m with a gap of 4e-5 m, 1 / 125 of
 the slop. What few sweeps leave of a velocity parts what touches exactly, and a contact that is lost comes back without
 its impulses."""
 

@@ -4,7 +4,7 @@ A sweep carries information one contact further, so in a column Projected Gauss-
 height times load: such scenes, and ratios of masses beyond those of the study, get conjugate gradients to a tolerance
 that the lightest circle can feel, in substeps, which a ratio of 1e8 needs (Figure 6.6). A high pyramid creeps apart at
 one step of 10 ms however well it is solved, since the next solve does not expect what position correction moves: it
-gets substeps of two sweeps.
+gets substeps of eight sweeps.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ HEAP, FILLED, TOUCHING = 50.0, 0.75, 1.5
 and has more contacts a circle than the third, so that it lies."""
 
 HEAP_ROWS = 12.0
-"""Circles on one another for each substep of two sweeps."""
+"""Circles on one another for each substep of eight sweeps."""
 
 SWEEPS, SUBSTEPS = 5000, 4
 """Most sweeps of a substep, and least substeps of a step, for what is solved to a tolerance."""
@@ -65,7 +65,7 @@ def stiffness(scene: State, substeps: int = 1) -> Stiffness | None:
     if not _is_heap(scene, high, wide):
         return None
     parts = substeps * 2 ** math.ceil(math.log2(high / HEAP_ROWS))
-    return Stiffness(f"a heap with slopes {high:.0f} circles high", PGS(sweeps=2, tolerance=None, substeps=parts))
+    return Stiffness(f"a heap with slopes {high:.0f} circles high", PGS(sweeps=8, tolerance=None, substeps=parts))
 
 
 def _to_tolerance(scene: State, substeps: int) -> NNCG:

@@ -105,7 +105,7 @@ def test_contacts_by_geometry_are_those_that_the_engine_reports(kind, steps):
         before = world.contact_count()
         world.step(0.01, 20, 3)
     counted = before if kind is peers.Box2D23 else world.contact_count()
-    # Ours are counted up to a gap of 1e-4 of their reach (`constants.NEARLY`).
+    # Ours are counted up to a gap (`constants.NEARLY`).
     assert counted == pytest.approx(reported(world), abs=3)
     assert counted > 25
 

@@ -62,7 +62,7 @@ def test_a_plan_has_the_solver_of_the_run(scene, options):
     assert chosen[SUBSTEPS].used == (run.state.solver.substeps > 1 or run.state.solver.most_substeps is not None)
 
 
-HEAP = Stiffness("a heap", dc.PGS(sweeps=2, tolerance=None, substeps=8))
+HEAP = Stiffness("a heap", dc.PGS(sweeps=8, tolerance=None, substeps=8))
 COLUMN_OF_200 = Stiffness("a column", dc.NNCG(sweeps=5000, tolerance=1e-9, substeps=4))
 
 
@@ -74,8 +74,8 @@ COLUMN_OF_200 = Stiffness("a column", dc.NNCG(sweeps=5000, tolerance=1e-9, subst
         (COLUMN_OF_200, dc.NNCG(sweeps=5000, tolerance=1e-9), True, "a column"),
         (COLUMN_OF_200, dc.NNCG(sweeps=4999, tolerance=1e-9), False, "a column, but NNCG"),
         (COLUMN_OF_200, dc.NNCG(sweeps=5000, tolerance=None), False, "a column, but NNCG"),
-        (HEAP, dc.PGS(sweeps=2, tolerance=None, substeps=8), True, "a heap"),
-        (HEAP, dc.PGS(sweeps=2, tolerance=None, substeps=7), False, "a heap, but PGS"),
+        (HEAP, dc.PGS(sweeps=8, tolerance=None, substeps=8), True, "a heap"),
+        (HEAP, dc.PGS(sweeps=8, tolerance=None, substeps=7), False, "a heap, but PGS"),
     ],
 )
 def test_stiff_piles_are_solved_by_many_sweeps_to_a_tolerance_and_heaps_in_substeps(stiff, solver, used, why):

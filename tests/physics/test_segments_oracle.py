@@ -36,7 +36,7 @@ def test_contacts_and_impulses_equal_box2d():
         pairs, other = ({pair: i for i, pair in enumerate(zip(c.body_a, c.body_b))} for c in (found, theirs))
         for pair in pairs.keys() ^ other.keys():
             gap = found.separation[pairs[pair]] if pair in pairs else theirs.separation[other[pair]]
-            assert abs(gap) < 2.1e-4  # `constants.NEARLY` of the reach of two
+            assert abs(gap) < 1e-4
         mine, their = np.array([(pairs[pair], other[pair]) for pair in pairs.keys() & other.keys()]).T
         np.testing.assert_allclose(found.normal[mine], theirs.normal[their], atol=2e-4)
         np.testing.assert_allclose(found.position[mine], theirs.position[their], atol=1e-4)
