@@ -33,6 +33,10 @@ NOTHING = -1
 """Partner of a circle that meets nothing."""
 
 
+MOST_LOOKS = 1000
+"""Times that the first touch is looked for, for each circle, in a step."""
+
+
 @njit(cache=True, error_model="numpy")
 def stop_fast(bodies, start, gravity, dt, box, segments, scales):
     """Take back, in place, what circles have moved beyond the first touch of a fast one, and the energy of its fall.
@@ -56,13 +60,16 @@ def stop_fast(bodies, start, gravity, dt, box, segments, scales):
         if fast[i]:
             when[i], _ = _first_touch(i, 0.0, path, swept)
             heappush(queue, (when[i], i))
+    looks = 0
     while queue[0][0] <= 1.0:
         expected, i = heappop(queue)
         if when[i] != expected:
             continue
+        looks += 1
         # Others may have stopped since this was found: it is looked for again, and later if it is not the same.
         time, other = _first_touch(i, when[i], path, swept)
-        if time > when[i] + 1e-12:
+        # Where rounding finds it later without end, it is now.
+        if time > when[i] + 1e-12 and (time > 1.0 or looks < MOST_LOOKS * n):
             when[i] = time
             heappush(queue, (time, i))
             continue

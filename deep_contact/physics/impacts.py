@@ -39,7 +39,7 @@ from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import arms_of, effective_masses
 from deep_contact.physics.segments import surface_velocity
 
-MOST_STRIKES = 1000, 200_000
+MOST_STRIKES = 200, 50_000
 """Rebounds of a step, per contact and, if that is more, of all. What approaches after them is left to the contact
 problem, which stops it."""
 

@@ -102,6 +102,6 @@ def test_pictures_show_segments(run):
 def test_starts_take_contacts_with_segments_as_with_walls(run, start):
     if start == "cnn":
         pytest.importorskip("tensorflow")
-    solution = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=3000, tolerance=1e-9), start=start)
-    plain = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=3000, tolerance=1e-9))
+    solution = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=30_000, tolerance=1e-10), start=start)
+    plain = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=30_000, tolerance=1e-10))
     np.testing.assert_allclose(solution.velocities, plain.velocities, atol=1e-4)

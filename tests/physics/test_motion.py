@@ -88,7 +88,7 @@ def test_batches_divide_by_motion():
 
 
 def test_a_pile_at_rest_takes_the_fewest_and_its_changes_give_no_energy():
-    settled = dc.simulate(dc.circles_in_box(60, seed=5), steps=900, solver=dc.PGS(sweeps=50, tolerance=None)).state
+    settled = dc.simulate(dc.circles_in_box(60, seed=1), steps=900, solver=dc.PGS(sweeps=50, tolerance=None)).state
     assert (dc.simulate(settled, steps=50, solver=MOTION).substeps == 1).all()
     state, energies = settled, []
     for k in range(60):
