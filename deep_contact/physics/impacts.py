@@ -37,6 +37,7 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import arms_of, effective_masses
+from deep_contact.physics.islands import root_of
 from deep_contact.physics.segments import surface_velocity
 
 MOST_STRIKES = 200, 50_000
@@ -201,19 +202,10 @@ def join(bodies, contacts, struck, now):
                 now.closing[c] += x
                 now.fastest[c] = max(now.fastest[c], x)
         if now.closing[a] > 0.0 and now.closing[b] > 0.0:
-            now.cluster[standing_for(now.cluster, a)] = standing_for(now.cluster, b)
+            now.cluster[root_of(now.cluster, a)] = root_of(now.cluster, b)
     for k in range(count):
-        now.cluster[now.circle[k]] = standing_for(now.cluster, now.circle[k])
+        now.cluster[now.circle[k]] = root_of(now.cluster, now.circle[k])
     return count
-
-
-@njit(cache=True)
-def standing_for(cluster, c):
-    """The circle that stands for the cluster of circle c, whose way to it gets shorter, in place (union-find)."""
-    while cluster[c] != c:
-        cluster[c] = cluster[cluster[c]]
-        c = cluster[c]
-    return c
 
 
 @njit(inline="always")
