@@ -26,6 +26,7 @@ _SCRIPTS = shipped.ROOT / "scripts"
 
 STUDIES = {
     "run_tradeoff": [_SCRIPTS / "run_tradeoff.py"],
+    "run_tradeoff_verify": [_SCRIPTS / "run_tradeoff_verify.py"],
     "benchmark_engine": [_SCRIPTS / "benchmark.py", "engine"],
     "benchmark_step": [_SCRIPTS / "benchmark.py", "step"],
 }

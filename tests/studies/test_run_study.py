@@ -209,3 +209,21 @@ def test_the_script_adds_settings_to_its_results(study, tmp_path, monkeypatch):
     assert after["BatchedPGS, 3 sweeps, Δt"]["errors"]["energy"]
     with pytest.raises(ValueError, match=r"seconds, seed: expected \(1.0, 0\)"):
         run(settings, add=True, seconds=2.0)
+
+
+def test_what_presets_and_trades_choose_is_held_against_scenes_outside_the_study(tmp_path):
+    """A row a preset, each of the setting that is taken; a tolerance is kept by the value, within by the lower end."""
+    script = load_script("run_tradeoff_verify")
+    options = {"scenes": {"20": ["loose"]}, "seeds": {"20": 2}, "seconds": 1.0, "timed": {"20": ["loose"]},
+               "trades": {"20": ["loose"]}, "work": str(tmp_path / "work")}  # fmt: skip
+    data = figures.produce(script.FIGURE, options=options, quick=True, out=tmp_path)["data"]
+    for rows in (data["rows"], data["trades"], data["times"]):
+        assert [row["preset"] for row in rows] == list(PRESETS)
+    taken = script.chosen_by_presets(script.scene("loose", 20, script.FIGURE.seed))
+    assert [row["setting"] for row in data["rows"]] == [setting for setting, _ in taken.values()]
+    assert all(row["us"] > 0 and row["predicted_us"] > 0 for row in data["times"])
+    judged = script.judged(
+        {"energy": (26, 24, 28), "height": (6, 5.5, 7), "impact": (35, 30, 40), "creep": None}, "preview"
+    )
+    assert judged["kept"] == {"energy": False, "height": False, "impact": True}
+    assert judged["within"] == {"energy": True, "height": False, "impact": True}
