@@ -9,6 +9,7 @@ Moreau and Roux, Phys. Rev. Lett. 77, 274 (1996); Unger, Kertész and Wolf, Phys
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from typing import NamedTuple
 
 import numpy as np
@@ -53,7 +54,11 @@ class ForceBounds(NamedTuple):
 
 
 def force_bounds(
-    state: State, contacts: Sequence[int] | np.ndarray | None = None, loads: Mapping | None = None, *, jobs: int = 1
+    state: State,
+    contacts: Sequence[int] | np.ndarray | None = None,
+    loads: Mapping | None = None,
+    *,
+    jobs: int | Executor = 1,
 ) -> ForceBounds:
     """Least and largest λ_n and λ_t of each contact over all impulses that give the state's exact motion.
 
@@ -65,10 +70,11 @@ def force_bounds(
 
     contacts: numbers of those that are wanted; None are all. loads: what was measured, and narrows the set: number of
     a contact → (normal force, error), N; "floor", "right", "ceiling", "left", or "segment 3" → ((f_x, f_y), error), the
-    force on it as `dc.forces` has it, each component within the error. jobs: processes.
+    force on it as `dc.forces` has it, each component within the error. jobs: processes, or an executor.
     Raises ValueError naming the argument, also where no exact motion was found and where loads contradict it.
     """
-    state, jobs = ready(state), integer("jobs", jobs, 1)
+    state = ready(state)
+    number_of_parts = parallel.workers(jobs) if isinstance(jobs, Executor) else integer("jobs", jobs, 1)
     m, mu, c = state.contacts.count, state.world.friction, state.contacts
     wanted = [integer("contacts", i, most=m - 1) for i in (range(m) if contacts is None else contacts)]
     exact = solve_exactly(state, *((c.normal_impulse, c.tangent_impulse) if state.solved else ()), residual=EXACT)
@@ -99,7 +105,7 @@ def force_bounds(
     if of.size and len(values):
         possible = _highs(program).getModelStatus() == HighsModelStatus.kOptimal
         expect(possible, "loads: expected those of some solution with the state's motion, got others")
-    shares = np.array_split(_side_by_side(state, wanted), jobs)
+    shares = np.array_split(_side_by_side(state, wanted), number_of_parts)
     parts = [([wanted[i] for i in share], edges, program) for share in shares]
     ends = np.zeros((len(wanted), 2, 2))
     for k, some in parallel.finished(_ends, parts, jobs=jobs):

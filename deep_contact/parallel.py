@@ -25,6 +25,15 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def workers(jobs: int | Executor) -> int:
+    """How many tasks run at once: a number of processes, or the threads of all workers of an executor; 1 if unknown."""
+    if isinstance(jobs, int):
+        return jobs
+    if hasattr(jobs, "_client"):  # Dask's
+        return max(1, sum(jobs._client.nthreads().values()))
+    return getattr(jobs, "_max_workers", 1)
+
+
 def progress_bar(items: Iterable | None = None, *, total: int | None = None, text: str = ""):
     """A progress bar on standard error around `items`; without items, one to move by `.update(n)`.
 

@@ -26,9 +26,9 @@ import numpy as np
 from deep_contact.constants import FRICTION, GRAVITY, TIME_STEP
 from deep_contact.physics.solvers import describe, solver_from
 from deep_contact.physics.solvers.registry import entry_of
+from deep_contact.scene_numbers import SceneNumbers, scene_numbers
 from deep_contact.state import State, notebook
-from deep_contact.state.scales import mean
-from deep_contact.stiffness import Stiffness, stiffness, up_and_across
+from deep_contact.stiffness import Stiffness, stiffness
 from deep_contact.validation import number, one_of
 
 TABLE = Path(__file__).parent / "reference" / "runs.json"
@@ -153,7 +153,8 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
     """
     if accuracy is not None and budget_ms is not None:
         raise ValueError("recommend: expected one of accuracy, budget_ms, got both")
-    candidates = _candidates(*_case(scene)[0])
+    numbers = scene_numbers(scene)
+    candidates = _candidates(*_case(scene, numbers)[0])
     if budget_ms is None:
         name = one_of("accuracy", accuracy or "fast", PRESETS)
         best = cheapest(candidates, PRESETS[name])
@@ -170,8 +171,9 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
     cheaper, better = (_neighbour(other, best, candidates) for other in (names[at - 1], names[at + 1]))
     return Recommendation(
         accuracy=name, solver=best["solver"], warm_start=best["start"], us=best["us"], dt=scene.dt,
-        n_bodies=scene.bodies.count, cpu=installed()["cpu"], errors=best["errors"], tolerances=tolerances,
-        reached=excess(best["errors"], tolerances) <= 1, outside=tuple(outside(scene)), cheaper=cheaper, better=better,
+        n_bodies=numbers.count, cpu=installed()["cpu"], errors=best["errors"], tolerances=tolerances,
+        reached=excess(best["errors"], tolerances) <= 1, outside=tuple(outside(scene, numbers)),
+        cheaper=cheaper, better=better,
     )  # fmt: skip
 
 
@@ -204,16 +206,16 @@ def decide(scene: State, accuracy: str | MeasuredAccuracy | None, *, sleep: bool
     """
     if hasattr(accuracy, "decide"):
         return accuracy.decide(scene)
-    name, n = one_of("accuracy", accuracy or "fast", PRESETS), scene.bodies.count
-    case, stiff = _case(scene)
+    name, numbers = one_of("accuracy", accuracy or "fast", PRESETS), scene_numbers(scene)
+    case, stiff = _case(scene, numbers)
     best = _chosen(name, sleep, *case)
-    sentences = _too_long(scene, best["dt"])
+    sentences = _too_long(numbers, best["dt"])
     if stiff and stiff.solver.tolerance is not None:
         price = f"up to {best['us'] / 1e3:.3g} ms a step of {scene.dt:g} s"
         sentences.append(f"{stiff.why}: solved to a tolerance, which takes {price}")
     if accuracy is not None and excess(best["errors"], PRESETS[name]) > 1:
         sentences.append(
-            f"no setting of the study keeps its tolerances for {n:,} circles; the nearest is taken "
+            f"no setting of the study keeps its tolerances for {numbers.count:,} circles; the nearest is taken "
             f"(print(dc.recommend(scene, accuracy={name!r})) says more); {_way_out(best['us'])}"
         )
     warnings = tuple(f"accuracy={name!r}: {one}" for one in sentences)
@@ -238,27 +240,18 @@ def installed() -> dict:
     return json.loads(TABLE.read_text(encoding="utf-8"))
 
 
-def longest_step(scene: State, dt: float) -> float:
+def longest_step(numbers: SceneNumbers, dt: float) -> float:
     """The time step, s, that is to a scene what `dt` is to circles of r = 1 m under 9.81 m/s²."""
-    bodies = scene.bodies
-    radius, gravity = mean(bodies.radius), float(np.hypot(*scene.world.gravity))
-    speed = max(math.sqrt(gravity * radius), _fastest(scene) / FASTEST)
-    return math.inf if speed == 0 else dt * math.sqrt(-GRAVITY[1]) * radius / speed
+    speed = max(math.sqrt(numbers.gravity * numbers.radius), numbers.fastest / FASTEST)
+    return math.inf if speed == 0 else dt * math.sqrt(-GRAVITY[1]) * numbers.radius / speed
 
 
-def _fastest(scene: State) -> float:
-    """Speed of the fastest circle, or of a surface that drags circles, m/s."""
-    surfaces = scene.world.surface_speeds if scene.world.friction > 0 else ()
-    circle = float(np.sqrt((scene.bodies.velocity**2).sum(axis=1).max(initial=0.0)))
-    return max(circle, *map(abs, surfaces), 0.0)
-
-
-def parts_for(scene: State, dt: float) -> int:
+def parts_for(numbers: SceneNumbers, dt: float) -> int:
     """Into how many a scene's Δt is divided, so that they are to it at most what `dt` is to circles of r = 1 m.
 
     A power of two, which scales impulses exactly.
     """
-    ratio = scene.dt / longest_step(scene, dt)
+    ratio = numbers.dt / longest_step(numbers, dt)
     return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
 
 
@@ -282,12 +275,17 @@ def cheapest(candidates: list[dict], tolerances: Mapping[str, float]) -> dict:
     return min(candidates, key=lambda one: (excess(one["errors"], tolerances), one["us"]))
 
 
-def _case(scene: State) -> tuple[tuple, Stiffness | None]:
+def _case(scene: State, numbers: SceneNumbers) -> tuple[tuple, Stiffness | None]:
     """What `_candidates` needs to know of a scene, and what makes it stiff."""
-    time_steps = {setting["dt"] for setting in installed()["settings"]} | {TIME_STEP}
-    substeps = {dt: parts_for(scene, dt) for dt in sorted(time_steps)}
-    stiff = stiffness(scene, substeps[TIME_STEP])
-    return (scene.bodies.count, tuple(kinds_of(scene)), tuple(substeps.items()), stiff and stiff.solver), stiff
+    substeps = {dt: parts_for(numbers, dt) for dt in _time_steps()}
+    stiff = stiffness(scene, substeps[TIME_STEP], numbers)
+    return (numbers.count, tuple(kinds_of(numbers)), tuple(substeps.items()), stiff and stiff.solver), stiff
+
+
+@functools.cache
+def _time_steps() -> list[float]:
+    """Those of the study's settings, and the study's own."""
+    return sorted({setting["dt"] for setting in installed()["settings"]} | {TIME_STEP})
 
 
 def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list[dict]:
@@ -340,57 +338,50 @@ def _kinds_near(n: int) -> set[str]:
     return low & high
 
 
-def kinds_of(scene: State) -> list[str]:
+def kinds_of(numbers: SceneNumbers) -> list[str]:
     """The kinds of scenes of the study (`studies.runs.KINDS`) that a scene is like, or lies between.
 
     A drum, a dam and two densities ask for more than a pile does, and have settings that no pile was run with: they
     stand for themselves.
     """
-    radius, world = scene.bodies.radius, scene.world
-    if not any(world.gravity):
+    if numbers.gravity == 0.0:
         return ["gas"]
-    kinds = ["drum"] if any(world.surface_speeds) else []
-    kinds += _of_densities(scene)
-    if _is_dam(scene):
+    kinds = ["drum"] if numbers.is_dragged else []
+    kinds += _of_densities(numbers)
+    if _is_dam(numbers):
         kinds.append("dam break")
     is_pile = not kinds
-    if world.friction < FRICTION:
+    if numbers.friction < FRICTION:
         kinds.append("no friction")
-    if 0 < world.restitution < 0.8:
+    if 0 < numbers.restitution < 0.8:
         kinds.append("elastic 0.3")
-    if world.restitution > 0.3:
+    if numbers.restitution > 0.3:
         kinds.append("elastic 0.8")
-    if is_pile and scene.bodies.count and radius.max() > 1.05 * radius.min():
+    if is_pile and numbers.radius_ratio > 1.05:
         return [*kinds, "mixed radii"]
-    return [*kinds, "plain"] if is_pile and world.friction > 0 and world.restitution < 0.3 else kinds
+    return [*kinds, "plain"] if is_pile and numbers.friction > 0 and numbers.restitution < 0.3 else kinds
 
 
-def _of_densities(scene: State) -> list[str]:
+def _of_densities(numbers: SceneNumbers) -> list[str]:
     """The study's kind of two densities that a scene is like: the next larger ratio, in layers or mixed."""
-    if scene.bodies.count < 2:
+    if numbers.density_ratio <= 1.001:
         return []
-    density = scene.bodies.mass / scene.bodies.radius**2
-    ratio = float(density.max() / density.min())
-    if ratio <= 1.001:
-        return []
-    up, dense = up_and_across(scene)[0], density > math.sqrt(float(density.max() * density.min()))
-    apart = float(up[dense].mean() - up[~dense].mean()) / (float(np.ptp(up)) or 1.0)
-    layers = "heavy on light" if apart > 0 else "light on heavy"
-    names = (layers, "densities") if abs(apart) > LAYERED else ("densities",)
-    kinds = (f"{name} 1 : {most}" for name in names for most in DENSITIES[name] if ratio <= 1.001 * most)
+    layers = "heavy on light" if numbers.layers > 0 else "light on heavy"
+    names = (layers, "densities") if abs(numbers.layers) > LAYERED else ("densities",)
+    kinds = (
+        f"{name} 1 : {most}" for name in names for most in DENSITIES[name] if numbers.density_ratio <= 1.001 * most
+    )
     return [next(kinds, f"{names[0]} 1 : {DENSITIES[names[0]][-1]}")]
 
 
-def _is_dam(scene: State) -> bool:
+def _is_dam(numbers: SceneNumbers) -> bool:
     """Whether circles stand so much higher than they could lie that they will flow apart."""
-    bodies, (left, low, right, high), (g_x, g_y) = scene.bodies, scene.world.box, scene.world.gravity
-    if bodies.count < 2:
+    if numbers.count < 2:
         return False
-    up, across = np.ptp(up_and_across(scene), axis=1) + 2.0 * mean(bodies.radius)
-    squares = float((bodies.radius**2).sum())
-    wide = high - low if abs(g_x) > abs(g_y) else right - left
-    lying = max(2.0 * math.sqrt(3.0) * squares / wide, 2.0 * mean(bodies.radius))
-    return bool(up > SPREAD * lying and math.pi * squares > DENSE * up * across)
+    diameter = 2.0 * numbers.radius
+    up, across = numbers.height + diameter, numbers.width + diameter
+    lying = max(2.0 * math.sqrt(3.0) * numbers.squares / numbers.box_width, diameter)
+    return up > SPREAD * lying and math.pi * numbers.squares > DENSE * up * across
 
 
 def _us_at(n: int, times: Mapping[int, float]) -> float:
@@ -404,35 +395,34 @@ def _us_at(n: int, times: Mapping[int, float]) -> float:
     return times[low] * (max(n, sizes[0]) / low) ** power
 
 
-def outside(scene: State) -> list[str]:
+def outside(scene: State, numbers: SceneNumbers) -> list[str]:
     """Sentences on what of a scene lies outside the study; none where nothing does."""
-    bodies, world, sizes, count = scene.bodies, scene.world, installed()["sizes"], scene.bodies.count
-    radius, mass, speed = bodies.radius, bodies.mass / bodies.radius**2, _fastest(scene)
-    fastest = FASTEST * math.sqrt(math.hypot(*world.gravity) * mean(radius))
-    radii, densities = (values.max(initial=0.0) / values.min(initial=math.inf) for values in (radius, mass))
-    missing, stiff = ", ".join(sorted(set(kinds_of(scene)) - _kinds_near(count))), stiffness(scene)
+    sizes, count, speed = installed()["sizes"], numbers.count, numbers.fastest
+    fastest = FASTEST * math.sqrt(numbers.gravity * numbers.radius)
+    missing = ", ".join(sorted(set(kinds_of(numbers)) - _kinds_near(count)))
+    stiff = stiffness(scene, numbers=numbers)
     price = "the cost is that of all sweeps, of which a scene at rest needs few, and the errors are those of the"
     sentences = {
         f"{count:,} circles; it has {min(sizes):,} to {max(sizes):,}": not min(sizes) / 3 <= count <= 3 * max(sizes),
         f"{count:,} circles of the kind {missing}; it has none of about this size": missing,
-        f"radii that differ {radii:.3g} times; it has up to 3": radii > 3.001,
-        f"densities that differ {densities:.3g} times; it has up to 100": densities > 100.1,
-        f"friction {world.friction:g}; it has 0 and 0.5": world.friction > 0.5,
-        f"restitution {world.restitution:g}; it has 0, 0.3 and 0.8": world.restitution > 0.8,
+        f"radii that differ {numbers.radius_ratio:.3g} times; it has up to 3": numbers.radius_ratio > 3.001,
+        f"densities that differ {numbers.density_ratio:.3g} times; it has up to 100": numbers.density_ratio > 100.1,
+        f"friction {numbers.friction:g}; it has 0 and 0.5": numbers.friction > 0.5,
+        f"restitution {numbers.restitution:g}; it has 0, 0.3 and 0.8": numbers.restitution > 0.8,
         f"{stiff and stiff.why}: solved to a tolerance in substeps; {price} study's best setting": stiff,
-        **dict.fromkeys(_too_long(scene, max(setting["dt"] for setting in installed()["settings"])), True),
+        **dict.fromkeys(_too_long(numbers, max(_time_steps())), True),
         f"a speed of {speed:.3g} m/s; it has up to {fastest:.3g}": 0 < fastest < speed,
     }
     return [sentence for sentence, is_so in sentences.items() if is_so]
 
 
-def _too_long(scene: State, dt: float) -> list[str]:
+def _too_long(numbers: SceneNumbers, dt: float) -> list[str]:
     """What to say where a preset's step needs more than `MOST_SUBSTEPS`. dt: of its setting in the study, s."""
-    needed = scene.dt / longest_step(scene, dt)
+    needed = numbers.dt / longest_step(numbers, dt)
     if needed <= MOST_SUBSTEPS * _NEARLY:
         return []
     return [
-        f"dt = {scene.dt:g} s: circles of {scene.bodies.radius.mean():.3g} m at up to {_fastest(scene):.3g} m/s need "
+        f"dt = {numbers.dt:g} s: circles of {numbers.radius:.3g} m at up to {numbers.fastest:.3g} m/s need "
         f"{needed:,.0f} substeps, and get {MOST_SUBSTEPS:,}; give a dt of at most "
-        f"{scene.dt * MOST_SUBSTEPS / needed:.2g} s"
+        f"{numbers.dt * MOST_SUBSTEPS / needed:.2g} s"
     ]

@@ -6,14 +6,15 @@ import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 
-from deep_contact.parallel import cores
+from deep_contact.parallel import cores, parallel_map
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.engine import ContactSolution, Steps, contacts_of, step_input
@@ -493,25 +494,28 @@ def simulate_many(
     record: int | None = None,
     forces: bool = False,
     threads: int | None = None,
+    jobs: int | Executor | None = None,
 ) -> list[Simulation]:
     """Run many scenes, each on its own, on all cores: for each what `simulate` returns, in their order, bit for bit.
 
     The compiled steps of one scene leave the interpreter to the others. threads: at most so many; by default one a
-    core. warm_start: "builtin", None or "none", which need nothing from Python between two steps. The other arguments
-    are those of `simulate`.
+    core. jobs: in place of threads, a number of processes, or an executor, such as that of a cluster.
+    warm_start: "builtin", None or "none", which need nothing from Python between two steps. The other arguments are
+    those of `simulate`.
     Raises ValueError and FloatingPointError as `simulate` does, with the number of the state.
     """
+    expect(threads is None or jobs is None, f"threads: expected none beside jobs, got {threads!r}")
     threads = cores() if threads is None else integer("threads", threads, least=1)
     start = warm_start_of(warm_start)
     fits, states = isinstance(start, (Builtin, NoStart)), list(states)
     expect(fits, f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
+    how = (steps, dt, solver, start, accuracy, sleep, record, forces)
+    if jobs is not None:
+        return parallel_map(partial(_one_of_many, how), list(enumerate(states)), jobs=jobs)
     stopped = threading.Event()
 
     def one(number: int) -> Simulation:
-        try:
-            return _simulate(states[number], steps, dt, solver, start, accuracy, sleep, record, forces, stopped=stopped)
-        except (ValueError, FloatingPointError) as error:
-            raise type(error)(f"states[{number}]: {error}") from error
+        return _one_of_many(how, (number, states[number]), stopped)
 
     with ThreadPoolExecutor(min(threads, max(1, len(states)))) as pool:
         runs = [pool.submit(one, number) for number in range(len(states))]
@@ -521,6 +525,15 @@ def simulate_many(
             stopped.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _one_of_many(how: tuple, numbered: tuple[int, State], stopped: threading.Event | None = None) -> Simulation:
+    """`_simulate` of one of many states. how: its arguments from `steps` to `forces`. Errors name the state."""
+    number, state = numbered
+    try:
+        return _simulate(state, *how, stopped=stopped)
+    except (ValueError, FloatingPointError) as error:
+        raise type(error)(f"states[{number}]: {error}") from error
 
 
 def with_time_step(state: State, dt: float) -> State:

@@ -16,8 +16,9 @@ import numpy as np
 
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.solvers import NNCG, PGS
+from deep_contact.scene_numbers import SceneNumbers, scene_numbers
 from deep_contact.state import State
-from deep_contact.state.scales import FOLLOWS_SCENE, mean
+from deep_contact.state.scales import FOLLOWS_SCENE
 
 MASS_RATIO, LOAD = 100.0, 250.0
 """Largest ratio of masses that is left to the study's settings, and the largest height of a column, in circles, times
@@ -47,47 +48,43 @@ class Stiffness(NamedTuple):
     solver: PGS
 
 
-def stiffness(scene: State, substeps: int = 1) -> Stiffness | None:
+def stiffness(scene: State, substeps: int = 1, numbers: SceneNumbers | None = None) -> Stiffness | None:
     """What makes a scene too stiff for a few sweeps, and the solver for it; None where nothing does.
 
     substeps: that the scene needs for its Δt (`presets.parts_for`); a solver to a tolerance takes at least `SUBSTEPS`.
+    numbers: the scene's, if at hand.
     """
-    bodies = scene.bodies
-    if bodies.count < 2:
+    numbers = numbers or scene_numbers(scene)
+    if numbers.count < 2:
         return None
-    ratio = float(bodies.mass.max() / bodies.mass.min())
+    ratio = numbers.mass_ratio
     if ratio > 1.001 * MASS_RATIO:
-        return Stiffness(f"masses differ {ratio:.3g} times", _to_tolerance(scene, substeps))
-    high, wide = height_and_width(scene)
+        return Stiffness(f"masses differ {ratio:.3g} times", _to_tolerance(numbers, substeps))
+    if numbers.gravity == 0.0:
+        return None
+    high, wide = height_and_width(numbers)
     if (high > SLENDER * wide or wide < NARROW) and (high * (load := _load(scene)) > LOAD):
         why = f"{load:.0f} times its own mass lies on a circle, {high:.0f} circles high"
-        return Stiffness(why, _to_tolerance(scene, substeps))
+        return Stiffness(why, _to_tolerance(numbers, substeps))
     if not _is_heap(scene, high, wide):
         return None
     parts = substeps * 2 ** math.ceil(math.log2(high / HEAP_ROWS))
     return Stiffness(f"a heap with slopes {high:.0f} circles high", PGS(sweeps=8, tolerance=None, substeps=parts))
 
 
-def _to_tolerance(scene: State, substeps: int) -> NNCG:
+def _to_tolerance(numbers: SceneNumbers, substeps: int) -> NNCG:
     substeps = max(SUBSTEPS, substeps)
-    lightest = float(scene.bodies.mass.min()) * math.hypot(*scene.world.gravity) * scene.dt
-    tolerance = SHARE * lightest / substeps if lightest > 0.0 else FOLLOWS_SCENE
+    carries = numbers.lightest * numbers.gravity * numbers.dt
+    tolerance = SHARE * carries / substeps if carries > 0.0 else FOLLOWS_SCENE
     return NNCG(sweeps=SWEEPS, tolerance=tolerance, substeps=substeps)
 
 
-def up_and_across(scene: State) -> np.ndarray:
-    """Positions of the circles against gravity and across it, (2, n), m; zeros without gravity."""
-    gravity = np.asarray(scene.world.gravity, float)
-    up = -gravity / (math.hypot(*gravity) or 1.0)
-    return np.array([up, (up[1], -up[0])]) @ scene.bodies.position.T
-
-
-def height_and_width(scene: State) -> tuple[float, float]:
+def height_and_width(numbers: SceneNumbers) -> tuple[float, float]:
     """Of all circles, against gravity and across it, in mean diameters; (0, 0) without gravity."""
-    if not any(scene.world.gravity):
+    if numbers.gravity == 0.0:
         return 0.0, 0.0
-    high, wide = np.ptp(up_and_across(scene), axis=1) / (2.0 * mean(scene.bodies.radius)) + 1.0
-    return min(float(high), scene.bodies.count), float(wide)  # what falls from far above is no column
+    high, wide = (extent / (2.0 * numbers.radius) + 1.0 for extent in (numbers.height, numbers.width))
+    return min(high, numbers.count), wide  # what falls from far above is no column
 
 
 def _load(scene: State) -> float:
@@ -95,7 +92,9 @@ def _load(scene: State) -> float:
 
     What lies above is counted in strips as wide as the largest circle; a circle takes the share of its width.
     """
-    bodies, (up, across) = scene.bodies, up_and_across(scene)
+    bodies, gravity = scene.bodies, np.asarray(scene.world.gravity, float)
+    up = -gravity / math.hypot(*gravity)
+    up, across = np.array([up, (up[1], -up[0])]) @ bodies.position.T
     widest = float(bodies.radius.max())
     strip = np.floor((across - across.min()) / (2.0 * widest) + 1e-9)
     order = np.lexsort((-up, strip))

@@ -49,6 +49,7 @@ from deep_contact.run_errors import (
     with_next,
     with_reach,
 )
+from deep_contact.scene_numbers import scene_numbers
 from deep_contact.simulation import simulate
 from deep_contact.state import State, notebook
 from deep_contact.state.checks import check_types
@@ -122,7 +123,7 @@ def group_of(setting: Mapping) -> str:
 
 def reference_of(scene: State, finer: int = 1) -> dict:
     """The setting that is taken for the limit of small steps of a scene, or one of steps `finer` times as small."""
-    parts = finer * presets.parts_for(scene, TIME_STEP / 16)
+    parts = finer * presets.parts_for(scene_numbers(scene), TIME_STEP / 16)
     stiff = stiffness(scene, parts)
     solver = PGS(sweeps=20, tolerance=None, substeps=parts) if stiff is None else stiff.solver
     if stiff is not None and solver.tolerance is None:  # substeps of a few sweeps: so many more of them
@@ -134,7 +135,7 @@ def ladder(scene: State) -> tuple[dict, list]:
     """(Preset -> its setting, a short ladder of settings around them)."""
     chosen = {name: presets.decide(scene, name) for name in PRESETS}
     by_preset = {name: setting_of(one.solver, scene.dt, one.start) for name, one in chosen.items()}
-    k = presets.parts_for(scene, TIME_STEP)
+    k = presets.parts_for(scene_numbers(scene), TIME_STEP)
     solvers = [
         PGS(sweeps=4, tolerance=None, substeps=2 * k),
         PGS(sweeps=1, tolerance=None, substeps=k),
@@ -458,7 +459,7 @@ def measure_trade(
     trade.observed = {} if before is None else _known(trade, before)
     begun, every = time.perf_counter(), max(1, steps // FRAMES)
     frames, interval, most = steps // every, every * trade.dt, math.inf if minutes is None else 60.0 * minutes
-    workers = jobs if isinstance(jobs, int) else getattr(jobs, "_max_workers", 1)
+    workers = parallel.workers(jobs)
     costs, judging = _costs(trade, states[0], frames, interval)
 
     def cost(name, i):  # a run that is timed is run twice

@@ -15,6 +15,7 @@ import argparse
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -189,31 +190,32 @@ def parse(arguments=None) -> argparse.Namespace:
     return args
 
 
-def main(arguments=None) -> int:
+def main(arguments=None, jobs: int | Executor | None = None) -> int:
+    """The command. jobs: an executor in place of --jobs, whose workers see the folder of --out."""
     args = parse(arguments)
     if args.sample:
         make_sample(args.out)
         return 0
     first = Job(0, args.seed, args.steps, tuple(args.bodies), str(args.out), args.gzip, args.packings)
-    jobs = [replace(first, number=i) for i in range(args.simulations)]
+    simulations = [replace(first, number=i) for i in range(args.simulations)]
     begin = time.perf_counter()
     try:
-        wanted = missing(jobs)
-        print(f"{args.out}: {len(jobs)} simulations, {len(jobs) - len(wanted)} are there already")
-        spread = {"jobs": args.jobs, "progress": parallel.progress_bar}
+        wanted = missing(simulations)
+        print(f"{args.out}: {len(simulations)} simulations, {len(simulations) - len(wanted)} are there already")
+        spread = {"jobs": jobs or args.jobs, "progress": parallel.progress_bar}
         parallel.parallel_map(make_simulation, wanted, text="simulations", **spread)
         if args.xml:
-            parallel.parallel_map(write_xml, jobs, text="XML", **spread)
+            parallel.parallel_map(write_xml, simulations, text="XML", **spread)
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
         return INTERRUPTED
     except (OSError, RuntimeError, ValueError) as error:
         print(f"{args.out}: {error}", file=sys.stderr)
         return BAD_FILE if isinstance(error, RuntimeError) else status_of(error)  # of HDF5, on a full disk
-    states = sum(simulation_info(job.path).count for job in jobs)
-    size = sum(job.path.stat().st_size for job in jobs)
+    states = sum(simulation_info(job.path).count for job in simulations)
+    size = sum(job.path.stat().st_size for job in simulations)
     seconds = time.perf_counter() - begin
-    print(f"{args.out}: {len(jobs)} simulations, {states} states, {size / 1e6:.1f} MB, {seconds:.1f} s")
+    print(f"{args.out}: {len(simulations)} simulations, {states} states, {size / 1e6:.1f} MB, {seconds:.1f} s")
     return 0
 
 

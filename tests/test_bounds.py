@@ -1,5 +1,6 @@
 """Bounds on impulses against cases by hand, and against linear programs written as Coulomb's law is."""
 
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
 import numpy as np
@@ -137,3 +138,11 @@ def test_random_solutions_lie_within_and_each_bound_is_one_of_them():
             assert solution[row] / scale == pytest.approx(end, rel=1e-7, abs=1e-7)
             assert natural_residual(problem, solution) < 1e-8
     assert np.ptp(bounds.normal, axis=1).max() > 0.5 * scale
+
+
+def test_an_executor_finds_the_bounds_that_one_process_finds():
+    state = dc.find_contacts(packing(12, np.random.default_rng(3)))
+    alone = dc.force_bounds(state)
+    with ThreadPoolExecutor(2) as executor:
+        spread = dc.force_bounds(state, jobs=executor)
+    np.testing.assert_allclose(np.stack(spread[:2]), np.stack(alone[:2]), rtol=1e-6, atol=1e-9)

@@ -13,6 +13,7 @@ import deep_contact as dc
 from deep_contact import presets
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import results
+from deep_contact.scene_numbers import scene_numbers
 from deep_contact.stiffness import stiffness
 from deep_contact.studies import runs
 from deep_contact.studies.runs import KINDS, dam_break, two_densities
@@ -111,7 +112,7 @@ def test_a_step_that_is_hardly_longer_than_the_studys_is_not_divided(study):
     # The mean of radii drawn around 1 m is not 1 m.
     circle = dc.single_body()
     times = {0.1: 1, 1.0: 1, 1.04: 1, 1.06: 2, 2.09: 2, 2.2: 4, 1e5: 1024}
-    assert {ratio: presets.parts_for(circle.replace(dt=0.01 * ratio), 0.01) for ratio in times} == times
+    assert {ratio: presets.parts_for(scene_numbers(circle.replace(dt=0.01 * ratio)), 0.01) for ratio in times} == times
     scene = dc.lattice_in_box(100, radius=(0.97, 0.97))
     assert dc.recommend(scene).solver.substeps == 1
 
@@ -221,7 +222,7 @@ def test_the_study_in_the_package_keeps_fast_for_the_scenes_of_the_thesis():
     ],
 )
 def test_a_scene_is_like_kinds_of_the_study(options, kinds):
-    assert set(presets.kinds_of(dc.circles_in_box(20, seed=1, **options))) == kinds
+    assert set(presets.kinds_of(scene_numbers(dc.circles_in_box(20, seed=1, **options)))) == kinds
     assert kinds <= KINDS.keys()
 
 
@@ -238,7 +239,7 @@ def test_a_scene_is_like_kinds_of_the_study(options, kinds):
 )
 def test_two_densities_are_the_next_larger_ratio_of_the_study(ratio, heavy, kinds):
     scene = two_densities(200, ratio=ratio, heavy=heavy, seed=1)
-    assert set(presets.kinds_of(scene)) == kinds
+    assert set(presets.kinds_of(scene_numbers(scene))) == kinds
     assert kinds <= KINDS.keys()
     assert stiffness(scene) is None
 
@@ -256,11 +257,11 @@ def test_what_a_preset_runs_is_what_the_study_priced(n):
 @pytest.mark.parametrize(("aspect", "room", "is_dam"), [(2, 4, True), (2, 1.2, False), (6, 3, True)])
 def test_what_stands_higher_than_it_can_lie_is_a_dam(aspect, room, is_dam):
     scene = dam_break(300, aspect=aspect, room=room)
-    assert ("dam break" in presets.kinds_of(scene)) == is_dam
+    assert ("dam break" in presets.kinds_of(scene_numbers(scene))) == is_dam
     (x_min, y_min, x_max, y_max), position = scene.world.box, scene.bodies.position[:, ::-1].copy()
     aside = replace(scene.world, box=(y_min, x_min, y_max, x_max), gravity=scene.world.gravity[::-1])
     lying = scene.replace(world=aside, bodies=scene.bodies._replace(position=position))
-    assert ("dam break" in presets.kinds_of(lying)) == is_dam
+    assert ("dam break" in presets.kinds_of(scene_numbers(lying))) == is_dam
 
 
 def test_a_run_solved_to_a_tolerance_says_so_once_with_the_price_and_a_plan_prints_it():

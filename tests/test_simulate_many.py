@@ -1,6 +1,7 @@
 """Many scenes at once: each as if it ran alone."""
 
 import threading
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -32,6 +33,18 @@ def test_each_run_is_what_it_is_alone(threads, options):
         assert (many.recorded is None) == ("record" not in options)
         if many.recorded is not None:
             np.testing.assert_array_equal(one.trajectory.positions, many.trajectory.positions)
+
+
+@pytest.mark.parametrize("kind", [ThreadPoolExecutor, ProcessPoolExecutor])
+def test_an_executor_runs_them_to_the_same_bits_and_its_errors_name_the_state(kind):
+    with kind(2) as executor:
+        runs = dc.simulate_many(SCENES[:3], steps=20, jobs=executor)
+        assert [run.state for run in runs] == [dc.simulate(scene, steps=20).state for scene in SCENES[:3]]
+        broken = SCENES[1].replace(bodies=SCENES[1].bodies._replace(mass=-SCENES[1].bodies.mass))
+        with pytest.raises(ValueError, match=r"states\[1\]: bodies.mass"):
+            dc.simulate_many([SCENES[0], broken], steps=20, jobs=executor)
+    with pytest.raises(ValueError, match="threads: expected none beside jobs, got 2"):
+        dc.simulate_many(SCENES, threads=2, jobs=2)
 
 
 def test_scenes_run_on_so_many_threads_at_a_time(monkeypatch):

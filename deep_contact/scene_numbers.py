@@ -1,0 +1,102 @@
+"""What a scene is, in a few numbers: taken once, and all that `presets`, `stiffness` and `planning` decide by."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from deep_contact.compiled import njit
+from deep_contact.state import State
+from deep_contact.state.scales import mean
+
+
+class SceneNumbers(NamedTuple):
+    """Numbers of a scene. Up is against gravity; without gravity extents and layers are 0.
+
+    | field         | meaning                                                                       | unit |
+    |---------------|-------------------------------------------------------------------------------|------|
+    | count         | of circles                                                                    |      |
+    | dt            | time step                                                                     | s    |
+    | gravity       | its magnitude                                                                 | m/s² |
+    | friction      | μ                                                                             |      |
+    | restitution   | e                                                                             |      |
+    | is_dragged    | whether a surface of a segment moves                                          |      |
+    | radius        | mean                                                                          | m    |
+    | radius_ratio  | largest over smallest radius                                                  |      |
+    | lightest      | smallest mass                                                                 | kg   |
+    | mass_ratio    | largest over smallest mass                                                    |      |
+    | density_ratio | largest over smallest density                                                 |      |
+    | layers        | mean height of dense circles less that of light ones, over the height of all  |      |
+    | fastest       | speed of the fastest circle, or of a surface that drags circles               | m/s  |
+    | squares       | sum of the squares of the radii                                               | m²   |
+    | height, width | of all centres, up and across                                                 | m    |
+    | box_width     | of the box, across gravity                                                    | m    |
+    """
+
+    count: int
+    dt: float
+    gravity: float
+    friction: float
+    restitution: float
+    is_dragged: bool
+    radius: float
+    radius_ratio: float
+    lightest: float
+    mass_ratio: float
+    density_ratio: float
+    layers: float
+    fastest: float
+    squares: float
+    height: float
+    width: float
+    box_width: float
+
+
+def scene_numbers(state: State) -> SceneNumbers:
+    """The numbers of a scene, from one look at its circles."""
+    world, bodies = state.world, state.bodies
+    (left, low, right, high), (g_x, g_y) = world.box, world.gravity
+    gravity = math.hypot(g_x, g_y)
+    up = (-g_x / gravity, -g_y / gravity) if gravity > 0.0 else (0.0, 0.0)
+    speeds = [abs(speed) for speed in world.surface_speeds]
+    *measured, fastest, squares, height, width = _measured(
+        bodies.position, bodies.velocity, bodies.mass, bodies.radius, up
+    )
+    return SceneNumbers(
+        bodies.count, state.dt, gravity, world.friction, world.restitution, any(speeds), mean(bodies.radius), *measured,
+        max(fastest, *speeds, 0.0) if world.friction > 0 else fastest, squares, height, width,
+        high - low if abs(g_x) > abs(g_y) else right - left,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def _measured(position, velocity, mass, radius, up):
+    """From `radius_ratio` to `width` of `SceneNumbers`; ratios of no circles are 1. up: a unit vector, or zeros."""
+    n = mass.shape[0]
+    if n == 0:
+        return 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    densities = mass / radius**2
+    fastest = squares = 0.0
+    low = left = math.inf
+    high = right = -math.inf
+    for i in range(n):
+        x, y = position[i, 0], position[i, 1]
+        height, across = up[0] * x + up[1] * y, up[1] * x - up[0] * y
+        low, high, left, right = min(low, height), max(high, height), min(left, across), max(right, across)
+        fastest = max(fastest, velocity[i, 0] ** 2 + velocity[i, 1] ** 2)
+        squares += radius[i] ** 2
+    lightest, densest, lightest_density = mass.min(), densities.max(), densities.min()
+    layers, heights, dense = 0.0, 0.0, 0
+    if densest > lightest_density and high > low:
+        middle, all_heights = math.sqrt(densest * lightest_density), 0.0
+        for i in range(n):
+            height = up[0] * position[i, 0] + up[1] * position[i, 1]
+            all_heights += height
+            if densities[i] > middle:
+                heights += height
+                dense += 1
+        layers = (heights / dense - (all_heights - heights) / (n - dense)) / (high - low)
+    return (
+        radius.max() / radius.min(), lightest, mass.max() / lightest, densest / lightest_density, layers,
+        math.sqrt(fastest), squares, high - low, right - left,
+    )  # fmt: skip
