@@ -109,9 +109,9 @@ def _of_the_run(scene: State, solver, start, sleep: bool) -> dict[str, Choice]:
 
 
 def _stiffness(stiff: Stiffness | None, solver) -> Choice:
-    if stiff is None or stiff.solver.tolerance is not None:
+    if stiff is None or stiff.carried is not None:
         used = solver.tolerance is not None and solver.sweeps >= SWEEPS
     else:
-        used = getattr(solver, "substeps", 1) >= stiff.solver.substeps
+        used = getattr(solver, "substeps", 1) >= stiff.heap
     why = stiff.why if stiff else "nothing is too stiff for a few sweeps"
     return Choice(used, why if used or not stiff else f"{why}, but {describe(solver)} was asked for")

@@ -83,10 +83,11 @@ DENSITIES = {"densities": (2, 10, 100), "heavy on light": (10, 100), "light on h
 LAYERED = 0.25
 """Difference of the mean heights of dense and light circles, in the height of all, from which they count as layers."""
 
-SPREAD, DENSE = 2.5, 0.5
-"""A dam that breaks is so many times as high as its circles would lie if they filled the width of the box, and they
-cover at least the second of the rectangle around them."""
+SPREAD = 2.5
+"""A dam that breaks is so many times as high as its circles would lie if they filled the width of the box."""
 
+DENSE = 0.5
+"""Share of the rectangle around them that its circles cover at least."""
 
 MEASURING = 600 * 500
 """Steps of a preset that measuring a trade of 600 steps takes the time of: six seeds, a reference and its half step."""
@@ -154,7 +155,8 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
     if accuracy is not None and budget_ms is not None:
         raise ValueError("recommend: expected one of accuracy, budget_ms, got both")
     numbers = scene_numbers(scene)
-    candidates = _candidates(*_case(scene, numbers)[0])
+    stiff = stiffness(scene, numbers)
+    candidates = _candidates(*_case(numbers, stiff))
     if budget_ms is None:
         name = one_of("accuracy", accuracy or "fast", PRESETS)
         best = cheapest(candidates, PRESETS[name])
@@ -170,9 +172,9 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
     at = names.index(name)
     cheaper, better = (_neighbour(other, best, candidates) for other in (names[at - 1], names[at + 1]))
     return Recommendation(
-        accuracy=name, solver=best["solver"], warm_start=best["start"], us=best["us"], dt=scene.dt,
+        accuracy=name, solver=best["solver"], warm_start=best["start"], us=best["us"], dt=numbers.dt,
         n_bodies=numbers.count, cpu=installed()["cpu"], errors=best["errors"], tolerances=tolerances,
-        reached=excess(best["errors"], tolerances) <= 1, outside=tuple(outside(scene, numbers)),
+        reached=excess(best["errors"], tolerances) <= 1, outside=tuple(outside(numbers, stiff)),
         cheaper=cheaper, better=better,
     )  # fmt: skip
 
@@ -199,19 +201,24 @@ class Decision(NamedTuple):
 
 
 def decide(scene: State, accuracy: str | MeasuredAccuracy | None, *, sleep: bool = False) -> Decision:
-    """What a preset takes; without a name, what "fast" takes. Raises ValueError on another name.
+    """What a preset takes for a scene; without a name, what "fast" takes. Raises ValueError on another name.
 
     sleep: only solvers that can put circles to sleep. That no setting of the study keeps a preset is a warning only
     where it was asked for by name.
     """
     if hasattr(accuracy, "decide"):
         return accuracy.decide(scene)
-    name, numbers = one_of("accuracy", accuracy or "fast", PRESETS), scene_numbers(scene)
-    case, stiff = _case(scene, numbers)
-    best = _chosen(name, sleep, *case)
+    numbers = scene_numbers(scene)
+    return decided(numbers, stiffness(scene, numbers), accuracy, sleep=sleep)
+
+
+def decided(numbers: SceneNumbers, stiff: Stiffness | None, accuracy: str | None, *, sleep: bool = False) -> Decision:
+    """`decide`, from the numbers of a scene and what makes it stiff."""
+    name = one_of("accuracy", accuracy or "fast", PRESETS)
+    best = _chosen(name, sleep, *_case(numbers, stiff))
     sentences = _too_long(numbers, best["dt"])
-    if stiff and stiff.solver.tolerance is not None:
-        price = f"up to {best['us'] / 1e3:.3g} ms a step of {scene.dt:g} s"
+    if stiff and stiff.carried is not None:
+        price = f"up to {best['us'] / 1e3:.3g} ms a step of {numbers.dt:g} s"
         sentences.append(f"{stiff.why}: solved to a tolerance, which takes {price}")
     if accuracy is not None and excess(best["errors"], PRESETS[name]) > 1:
         sentences.append(
@@ -275,11 +282,11 @@ def cheapest(candidates: list[dict], tolerances: Mapping[str, float]) -> dict:
     return min(candidates, key=lambda one: (excess(one["errors"], tolerances), one["us"]))
 
 
-def _case(scene: State, numbers: SceneNumbers) -> tuple[tuple, Stiffness | None]:
-    """What `_candidates` needs to know of a scene, and what makes it stiff."""
+def _case(numbers: SceneNumbers, stiff: Stiffness | None) -> tuple:
+    """What `_candidates` needs to know of a scene."""
     substeps = {dt: parts_for(numbers, dt) for dt in _time_steps()}
-    stiff = stiffness(scene, substeps[TIME_STEP], numbers)
-    return (numbers.count, tuple(kinds_of(numbers)), tuple(substeps.items()), stiff and stiff.solver), stiff
+    solver = stiff and stiff.solver(substeps[TIME_STEP])
+    return numbers.count, tuple(kinds_of(numbers)), tuple(substeps.items()), solver
 
 
 @functools.cache
@@ -395,12 +402,11 @@ def _us_at(n: int, times: Mapping[int, float]) -> float:
     return times[low] * (max(n, sizes[0]) / low) ** power
 
 
-def outside(scene: State, numbers: SceneNumbers) -> list[str]:
+def outside(numbers: SceneNumbers, stiff: Stiffness | None) -> list[str]:
     """Sentences on what of a scene lies outside the study; none where nothing does."""
     sizes, count, speed = installed()["sizes"], numbers.count, numbers.fastest
     fastest = FASTEST * math.sqrt(numbers.gravity * numbers.radius)
     missing = ", ".join(sorted(set(kinds_of(numbers)) - _kinds_near(count)))
-    stiff = stiffness(scene, numbers=numbers)
     price = "the cost is that of all sweeps, of which a scene at rest needs few, and the errors are those of the"
     sentences = {
         f"{count:,} circles; it has {min(sizes):,} to {max(sizes):,}": not min(sizes) / 3 <= count <= 3 * max(sizes),

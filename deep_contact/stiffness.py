@@ -20,63 +20,76 @@ from deep_contact.scene_numbers import SceneNumbers, scene_numbers
 from deep_contact.state import State
 from deep_contact.state.scales import FOLLOWS_SCENE
 
-MASS_RATIO, LOAD = 100.0, 250.0
-"""Largest ratio of masses that is left to the study's settings, and the largest height of a column, in circles, times
-its load (`_load`)."""
+MASS_RATIO = 100.0
+"""Largest ratio of masses that is left to the study's settings."""
 
-SLENDER, NARROW = 8.0, 2.0
-"""A column is so many times as high as it is wide, or narrower than so many circles."""
+LOAD = 250.0
+"""Largest height of a column, in circles, times its load (`_load`) that is left to them."""
 
-HEAP, FILLED, TOUCHING = 50.0, 0.75, 1.5
-"""A heap is more circles high than the first, fills less than the second of the rectangle around it (a pyramid half),
-and has more contacts a circle than the third, so that it lies."""
+SLENDER = 8.0
+"""A column is at least so many times as high as it is wide."""
+
+NARROW = 2.0
+"""Or it is narrower than so many circles."""
+
+HEAP = 50.0
+"""A heap is higher than so many circles."""
+
+FILLED = 0.75
+"""Share of the rectangle around it that a heap fills at most; a pyramid fills half."""
+
+TOUCHING = 1.5
+"""Contacts a circle that a heap has at least: it lies, and does not fall."""
 
 HEAP_ROWS = 12.0
 """Circles on one another for each substep of eight sweeps."""
 
-SWEEPS, SUBSTEPS = 5000, 4
-"""Most sweeps of a substep, and least substeps of a step, for what is solved to a tolerance."""
+SWEEPS = 5000
+"""Most sweeps of a substep of what is solved to a tolerance."""
+
+SUBSTEPS = 4
+"""Least substeps of its step."""
 
 SHARE = 1e-6
-"""Tolerance, as a share of the impulse that carries the lightest circle for Δt."""
+"""Its tolerance, as a share of the impulse that carries the lightest circle for Δt."""
 
 
 class Stiffness(NamedTuple):
-    """Of a scene that a few sweeps cannot solve: what makes it so, in words, and the solver that is taken for it."""
+    """What makes a scene too stiff for a few sweeps, in words, and the numbers that its solver follows from.
+
+    carried: impulse that carries the lightest circle for Δt, N·s; None for a heap, which is not solved to a tolerance.
+    heap: how many times as many substeps a heap gets as it would otherwise.
+    """
 
     why: str
-    solver: PGS
+    carried: float | None
+    heap: int = 1
+
+    def solver(self, substeps: int = 1) -> PGS:
+        """The solver for the scene. substeps: that its Δt needs (`presets.parts_for`)."""
+        if self.carried is None:
+            return PGS(sweeps=8, tolerance=None, substeps=substeps * self.heap)
+        substeps = max(SUBSTEPS, substeps)
+        tolerance = SHARE * self.carried / substeps if self.carried > 0.0 else FOLLOWS_SCENE
+        return NNCG(sweeps=SWEEPS, tolerance=tolerance, substeps=substeps)
 
 
-def stiffness(scene: State, substeps: int = 1, numbers: SceneNumbers | None = None) -> Stiffness | None:
-    """What makes a scene too stiff for a few sweeps, and the solver for it; None where nothing does.
-
-    substeps: that the scene needs for its Δt (`presets.parts_for`); a solver to a tolerance takes at least `SUBSTEPS`.
-    numbers: the scene's, if at hand.
-    """
+def stiffness(scene: State, numbers: SceneNumbers | None = None) -> Stiffness | None:
+    """What makes a scene too stiff for a few sweeps; None where nothing does. numbers: the scene's, if at hand."""
     numbers = numbers or scene_numbers(scene)
     if numbers.count < 2:
         return None
-    ratio = numbers.mass_ratio
-    if ratio > 1.001 * MASS_RATIO:
-        return Stiffness(f"masses differ {ratio:.3g} times", _to_tolerance(numbers, substeps))
+    carried = numbers.lightest * numbers.gravity * numbers.dt
+    if numbers.mass_ratio > 1.001 * MASS_RATIO:
+        return Stiffness(f"masses differ {numbers.mass_ratio:.3g} times", carried)
     if numbers.gravity == 0.0:
         return None
     high, wide = height_and_width(numbers)
     if (high > SLENDER * wide or wide < NARROW) and (high * (load := _load(scene)) > LOAD):
-        why = f"{load:.0f} times its own mass lies on a circle, {high:.0f} circles high"
-        return Stiffness(why, _to_tolerance(numbers, substeps))
+        return Stiffness(f"{load:.0f} times its own mass lies on a circle, {high:.0f} circles high", carried)
     if not _is_heap(scene, high, wide):
         return None
-    parts = substeps * 2 ** math.ceil(math.log2(high / HEAP_ROWS))
-    return Stiffness(f"a heap with slopes {high:.0f} circles high", PGS(sweeps=8, tolerance=None, substeps=parts))
-
-
-def _to_tolerance(numbers: SceneNumbers, substeps: int) -> NNCG:
-    substeps = max(SUBSTEPS, substeps)
-    carries = numbers.lightest * numbers.gravity * numbers.dt
-    tolerance = SHARE * carries / substeps if carries > 0.0 else FOLLOWS_SCENE
-    return NNCG(sweeps=SWEEPS, tolerance=tolerance, substeps=substeps)
+    return Stiffness(f"a heap with slopes {high:.0f} circles high", None, 2 ** math.ceil(math.log2(high / HEAP_ROWS)))
 
 
 def height_and_width(numbers: SceneNumbers) -> tuple[float, float]:

@@ -49,11 +49,10 @@ from deep_contact.run_errors import (
     with_next,
     with_reach,
 )
-from deep_contact.scene_numbers import scene_numbers
+from deep_contact.scene_numbers import SceneNumbers, scene_numbers
 from deep_contact.simulation import simulate
 from deep_contact.state import State, notebook
-from deep_contact.state.checks import check_types
-from deep_contact.stiffness import stiffness
+from deep_contact.stiffness import Stiffness, stiffness
 from deep_contact.validation import brief, expect, integer, number, one_of
 
 FRAMES = 120
@@ -121,21 +120,24 @@ def group_of(setting: Mapping) -> str:
     return setting.get("engine") or setting["method"]
 
 
-def reference_of(scene: State, finer: int = 1) -> dict:
+def reference_of(numbers: SceneNumbers, stiff: Stiffness | None, finer: int = 1) -> dict:
     """The setting that is taken for the limit of small steps of a scene, or one of steps `finer` times as small."""
-    parts = finer * presets.parts_for(scene_numbers(scene), TIME_STEP / 16)
-    stiff = stiffness(scene, parts)
-    solver = PGS(sweeps=20, tolerance=None, substeps=parts) if stiff is None else stiff.solver
+    parts = finer * presets.parts_for(numbers, TIME_STEP / 16)
+    solver = PGS(sweeps=20, tolerance=None, substeps=parts) if stiff is None else stiff.solver(parts)
     if stiff is not None and solver.tolerance is None:  # substeps of a few sweeps: so many more of them
         solver = replace(solver, sweeps=20, substeps=max(parts, 4 * finer * solver.substeps))
-    return setting_of(solver, scene.dt)
+    return setting_of(solver, numbers.dt)
 
 
-def ladder(scene: State) -> tuple[dict, list]:
-    """(Preset -> its setting, a short ladder of settings around them)."""
-    chosen = {name: presets.decide(scene, name) for name in PRESETS}
-    by_preset = {name: setting_of(one.solver, scene.dt, one.start) for name, one in chosen.items()}
-    k = presets.parts_for(scene_numbers(scene), TIME_STEP)
+def settings_of_presets(numbers: SceneNumbers, stiff: Stiffness | None) -> dict:
+    """Preset -> its setting for a scene."""
+    chosen = {name: presets.decided(numbers, stiff, name) for name in PRESETS}
+    return {name: setting_of(one.solver, numbers.dt, one.start) for name, one in chosen.items()}
+
+
+def ladder(numbers: SceneNumbers) -> list:
+    """A short ladder of settings around those of the presets."""
+    k = presets.parts_for(numbers, TIME_STEP)
     solvers = [
         PGS(sweeps=4, tolerance=None, substeps=2 * k),
         PGS(sweeps=1, tolerance=None, substeps=k),
@@ -146,7 +148,7 @@ def ladder(scene: State) -> tuple[dict, list]:
         PGS(sweeps=2, tolerance=None, substeps=4 * k),
         NNCG(sweeps=20, tolerance=None, substeps=2 * k),
     ]
-    return by_preset, [setting_of(solver, scene.dt) for solver in solvers]
+    return [setting_of(solver, numbers.dt) for solver in solvers]
 
 
 def rivals(scene: State) -> tuple[list, list[str]]:
@@ -455,12 +457,12 @@ def measure_trade(
     """
     numbers, quantities = _checked(steps, minutes, seeds, quantities, jobs)
     states = copies(scene, numbers)
-    trade = _begun(states, steps, settings, engines, quantities)
+    trade, setting_by_name = _begun(states, steps, settings, engines, quantities)
     trade.observed = {} if before is None else _known(trade, before)
     begun, every = time.perf_counter(), max(1, steps // FRAMES)
     frames, interval, most = steps // every, every * trade.dt, math.inf if minutes is None else 60.0 * minutes
     workers = parallel.workers(jobs)
-    costs, judging = _costs(trade, states[0], frames, interval)
+    costs, judging = _costs(trade, setting_by_name, states[0], frames, interval)
 
     def cost(name, i):  # a run that is timed is run twice
         return costs[name] * (2 if _is_timed(trade, name, i) else 1)
@@ -479,7 +481,6 @@ def measure_trade(
     trade.predicted_s = time.perf_counter() - begun + needed + (STARTING if workers > 1 else 0.0)
     what = f"{notebook.counted(len(names), 'setting')} and a reference, {notebook.counted(count, 'seed')}"
     print(f"measure_trade: {what}: about {trade.predicted_s:.0f} s", file=sys.stderr, flush=True)
-    setting_by_name = trade.settings | {REFERENCE: trade.reference, HALF: reference_of(states[0], 2)}
     tasks = [
         (states[i], setting_by_name[name], frames, interval, quantities, _is_timed(trade, name, i)) for name, i in parts
     ]
@@ -546,48 +547,49 @@ def _task(task: tuple) -> tuple[float | None, Observation] | str:
 
 def copies(scene: State | Callable[[int], State], seeds: Sequence[int]) -> list[State]:
     """The scene of each seed. Raises ValueError on what is none, and what does not hold together."""
-    states = []
+    if isinstance(scene, State):
+        bodies, slop = ready(scene).bodies, scene.scales.slop
+        expect(bodies.count, "scene: expected a circle at least, got none")
+        shifts = (np.random.default_rng(seed).uniform(-SHIFT, SHIFT, bodies.position.shape) * slop for seed in seeds)
+        return [scene.replace(bodies=bodies._replace(position=bodies.position + shift)) for shift in shifts]
+    expect(callable(scene), f"scene: expected a State or a function of a seed, got {scene!r}")
+    states: list[State] = []
     for seed in seeds:
-        if isinstance(scene, State):
-            bodies = ready(scene).bodies
-            shift = np.random.default_rng(seed).uniform(-SHIFT, SHIFT, bodies.position.shape) * scene.scales.slop
-            state = scene.replace(bodies=bodies._replace(position=bodies.position + shift))
-        else:
-            expect(callable(scene), f"scene: expected a State or a function of a seed, got {scene!r}")
-            try:
-                state = scene(seed)
-            except Exception as error:
-                text = f"scene({seed}): expected a State, got {type(error).__name__}: {error}"
-                raise ValueError(text) from error
-        ready(check_types(state))
-        expect(state.bodies.count, "scene: expected a circle at least, got none")
+        try:
+            state = scene(seed)
+        except Exception as error:
+            raise ValueError(f"scene({seed}): expected a State, got {type(error).__name__}: {error}") from error
+        expect(ready(state).bodies.count, "scene: expected a circle at least, got none")
         states.append(state)
         alike = (state.bodies.count, state.dt) == (states[0].bodies.count, states[0].dt)
         expect(alike, f"scene({seed}): expected as many circles and the Δt of the first, got {state!r}")
     return states
 
 
-def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantities: Mapping) -> Trade:
-    """The trade before its first run; everything is compiled."""
-    first = states[0]
-    by_preset, more = ladder(first)
+def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantities: Mapping) -> tuple[Trade, dict]:
+    """The trade before its first run, and all settings by name, the reference's too; everything is compiled."""
+    first, numbers = states[0], scene_numbers(states[0])
+    stiff = stiffness(first, numbers)
+    by_preset, more = settings_of_presets(numbers, stiff), ladder(numbers)
     if settings is not None:
         more = [setting_of(solver, first.dt) for solver in settings if entry_of(solver)]
     found, notes = rivals(first) if engines else ([], [])
-    if outside := presets.outside(first):
+    if outside := presets.outside(numbers, stiff):
         notes.append("outside of the study of the presets: " + "; ".join(outside))
     for setting in (*by_preset.values(), *more):
         with contextlib.suppress(FloatingPointError):  # its runs will say it
             Run(first, setting).advance(1)
     values = {name: with_next(name, quantity, ready(first), []) for name, quantity in quantities.items()}
-    return Trade(
+    named = {name_of(one, first.dt): one for one in (*by_preset.values(), *more, *found)}
+    true, half = (reference_of(numbers, stiff, finer) for finer in (1, 2))
+    trade = Trade(
         scene=first.name, n_bodies=first.bodies.count, dt=first.dt, steps=steps, notes=notes,
-        quantities=list(quantities),
-        settings={name_of(one, first.dt): one for one in (*by_preset.values(), *more, *found)},
+        quantities=list(quantities), settings=named, reference=true, cpu=provenance()["cpu"],
         by_preset={preset: name_of(one, first.dt) for preset, one in by_preset.items()},
-        reference=reference_of(first), digests=list(map(_digest_of_state, states)), cpu=provenance()["cpu"],
+        digests=list(map(_digest_of_state, states)),
         looks={name: _digest(value if isinstance(value, str) else value[0]) for name, value in values.items()},
     )  # fmt: skip
+    return trade, named | {REFERENCE: true, HALF: half}
 
 
 def _digest_of_state(state: State) -> str:
@@ -616,7 +618,9 @@ def _known(trade: Trade, before: Trade) -> dict:
     return {(name, i): seen for (name, i), seen in before.observed.items() if name in same and i in common}
 
 
-def _costs(trade: Trade, scene: State, frames: int, interval: float) -> tuple[dict[str, float], float]:
+def _costs(
+    trade: Trade, settings: Mapping, scene: State, frames: int, interval: float
+) -> tuple[dict[str, float], float]:
     """What a run with each setting will take, s: of one interval at four moments of a run that "fast" drives; and what
     the intervals of a setting will."""
     run = Run(scene, trade.settings[trade.by_preset["fast"]])
@@ -641,7 +645,6 @@ def _costs(trade: Trade, scene: State, frames: int, interval: float) -> tuple[di
                 took.append(min(repeat(partial(run.advance, each), number=1, repeat=2)))
         return frames * (sum(took) / max(1, len(moments)) + looking)
 
-    settings = trade.settings | {REFERENCE: trade.reference, HALF: reference_of(scene, 2)}
     return {name: cost(setting) for name, setting in settings.items()}, judging
 
 

@@ -8,6 +8,8 @@ from deep_contact import trade
 from deep_contact.physics.scenes import drum, hopper, terrain
 from deep_contact.presets import PRESETS, excess
 from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact.scene_numbers import scene_numbers
+from deep_contact.stiffness import stiffness
 from deep_contact.studies import runs
 
 SCENES = {
@@ -29,10 +31,10 @@ def scene(name, n_bodies, seed):
 
 def settings_of(start):
     """The reference's setting of a scene, then ours, the presets' among them, then other engines'."""
-    by_preset, ladder = trade.ladder(start)
-    others, _ = trade.rivals(start)
+    numbers, stiff, (others, _) = scene_numbers(start), stiffness(start), trade.rivals(start)
     tuned = [setting | KNOBS[setting["engine"]] for setting in others]
-    return [trade.reference_of(start), *by_preset.values(), *ladder, *others, *tuned]
+    ours = *trade.settings_of_presets(numbers, stiff).values(), *trade.ladder(numbers)
+    return [trade.reference_of(numbers, stiff), *ours, *others, *tuned]
 
 
 def compute(options, seed, jobs, progress):
@@ -48,7 +50,8 @@ def measure(name, n, options, seed, jobs):
     _, *others = runs.observed_rows(scene, cases, **common, jobs=jobs).items()
     rows = runs.timed_rows(scene, dict(others), dict.fromkeys(cases, options["timed"][str(n)]), **common)
     rows = [row | {"kind": "plain"} for row in rows]  # `runs.presets` compares engines on plain piles
-    chosen = {preset: trade.name_of(setting, start.dt) for preset, setting in trade.ladder(start)[0].items()}
+    taken = trade.settings_of_presets(scene_numbers(start), stiffness(start))
+    chosen = {preset: trade.name_of(setting, start.dt) for preset, setting in taken.items()}
     return {"scene": name, "n_bodies": n, "rows": rows, "presets": runs.presets(rows), "chosen": chosen}
 
 

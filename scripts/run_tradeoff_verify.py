@@ -16,6 +16,8 @@ from deep_contact import presets, trade
 from deep_contact.physics.scenes import drum, hopper, lattice_in_box, terrain
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import Claim, Figure, figures
+from deep_contact.scene_numbers import scene_numbers
+from deep_contact.stiffness import stiffness
 from deep_contact.studies import piles, runs
 
 
@@ -95,7 +97,10 @@ def compute(options, seed, jobs, progress):
         taken = {"rows": chosen_by_presets(start)}
         if kind in options["trades"].get(str(n), []):
             taken["trades"] = chosen_by_trade(kind, n, options, seed, jobs)
-        settings = [trade.reference_of(start), *(setting for by in taken.values() for setting, _ in by.values())]
+        settings = [
+            trade.reference_of(scene_numbers(start), stiffness(start)),
+            *(setting for by in taken.values() for setting, _ in by.values()),
+        ]
         cases |= {(kind, n, trade.name_of(setting, start.dt)): (setting, count) for setting in settings}
         for by, preset, (setting, us) in ((by, preset, one) for by, of in taken.items() for preset, one in of.items()):
             key = kind, n, trade.name_of(setting, start.dt)

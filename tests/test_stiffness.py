@@ -49,9 +49,9 @@ def test_what_is_stiff_rests_within_a_slop_and_without_speed(name):
 def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_so(name):
     scene = STIFF[name]
     for accuracy in PRESETS:
-        assert dc.recommend(scene, accuracy=accuracy).solver == stiffness(scene).solver
+        assert dc.recommend(scene, accuracy=accuracy).solver == stiffness(scene).solver()
     plan = dc.plan(scene)
-    assert plan.solver == stiffness(scene).solver
+    assert plan.solver == stiffness(scene).solver()
     assert plan["solving stiff piles"].used
     assert not dc.plan(scene, solver=dc.PGS(sweeps=50, tolerance=None))["solving stiff piles"].used
 
@@ -101,7 +101,7 @@ def test_heavy_circles_on_a_pile_at_rest_are_carried_by_few_sweeps(accuracy, wid
 @pytest.mark.parametrize("needed", [1, 4, 32])
 def test_what_is_solved_to_a_tolerance_takes_the_substeps_that_its_step_needs(needed):
     scene = loaded_silo(5, 1e3)
-    solver = stiffness(scene, needed).solver
+    solver = stiffness(scene).solver(needed)
     assert solver.substeps == max(4, needed)
     # A millionth of what carries the lightest circle for a substep.
     assert solver.tolerance == pytest.approx(1e-6 * np.pi * 9.81 * scene.dt / solver.substeps)

@@ -116,7 +116,7 @@ def _begin(trial: Trial, engine: str) -> tuple[Callable, Callable]:
         return lambda steps: world.run(steps, scene.dt, solver.sweeps, solver.position_sweeps), world.bodies
     state = ready(scene)
     stiff = stiffness(state) if trial.recognised else None
-    options = {"solver": stiff.solver if stiff else solver, "warm_start": trial.warm_start}
+    options = {"solver": stiff.solver() if stiff else solver, "warm_start": trial.warm_start}
 
     def advance(steps: int) -> None:
         nonlocal state
