@@ -1,7 +1,4 @@
-"""Films of runs: circles and impulses drawn by Pillow, as a GIF or an MP4.
-
-Matplotlib draws a picture well and a hundred of them slowly; a film needs discs and lines with smooth edges, no more.
-"""
+"""Films of runs: pictures of `plotting.draw_state`, as a GIF or an MP4."""
 
 from __future__ import annotations
 
@@ -12,17 +9,16 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib import animation, colormaps
-from PIL import Image, ImageDraw
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from PIL import Image
 
 from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting
-from deep_contact.state import contact_lines
 from deep_contact.validation import expect
 
-FINE = 3
-"""A picture is drawn so many times as large, and made smaller: that smooths the edges."""
-
-DARK = "#333333"
+MARGIN = 8
+"""Around the box, pixels."""
 
 
 class Canvas:
@@ -34,40 +30,22 @@ class Canvas:
     def __init__(self, world, *, size: int, fastest: float, strongest: float):
         x_min, y_min, x_max, y_max = world.box
         sides = x_max - x_min, y_max - y_min
-        self._scale, self._corner = (size - 16) / max(sides), np.array([x_min, y_max])
-        self._fastest, self._strongest = fastest or 1.0, strongest or 1.0
+        pixel, self._limits = max(sides) / (size - 2 * MARGIN), {"limits": (0.0, fastest), "largest_impulse": strongest}
         # Even sides, as films in colours of half the resolution need.
-        shape = [2 * FINE * math.ceil((self._scale * side + 16) / 2) for side in sides]
-        self._empty = Image.new("RGB", shape, "white")
-        corners = [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
-        walls = [*zip(corners, corners[1:] + corners[:1]), *np.reshape(world.segments, (-1, 2, 2))]
-        self._draw_lines(self._empty, np.array(walls), np.full(len(walls), 2.0), [DARK] * len(walls))
+        width, height = (2 * math.ceil((side / pixel + 2 * MARGIN) / 2) for side in sides)
+        figure = Figure(figsize=(width / plotting.DPI, height / plotting.DPI), dpi=plotting.DPI)
+        self._canvas, self._ax = FigureCanvasAgg(figure), figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        left, top = x_min - MARGIN * pixel, y_max + MARGIN * pixel
+        self._place = {"xlim": (left, left + width * pixel), "ylim": (top - height * pixel, top)}
 
     def __call__(self, state) -> np.ndarray:
         """The picture of a state, (height, width, 3), uint8."""
-        image, (centre, *_, radius) = self._empty.copy(), state.bodies
-        colours = colormaps[plotting.COLOUR_MAP](np.hypot(*state.bodies.velocity.T) / self._fastest)
-        disc, reach = ImageDraw.Draw(image).ellipse, FINE * self._scale * radius[:, None]
-        boxes, fills = np.hstack([self._pixels(centre) - reach, self._pixels(centre) + reach]), 255 * colours[:, :3]
-        for box, fill in zip(boxes.tolist(), fills.astype(int).tolist()):
-            disc(box, tuple(fill), DARK, FINE)
-        ticks, chains = plotting.ticks(state.bodies), contact_lines(state)
-        self._draw_lines(image, ticks, np.full(len(ticks), 1.2), plotting.readable_on(colours).tolist())
-        width = 0.5 + 7.5 * np.minimum(state.contacts.normal_impulse / self._strongest, 1.0)
-        self._draw_lines(image, chains, width + 1.5, ["white"] * len(chains))
-        self._draw_lines(image, chains, width, [plotting.VERMILION] * len(chains))
-        return np.asarray(image.reduce(FINE))
-
-    def _pixels(self, points: np.ndarray) -> np.ndarray:
-        return FINE * ((points - self._corner) * (self._scale, -self._scale) + 8.0)
-
-    def _draw_lines(self, image, lines: np.ndarray, widths: np.ndarray, colours: list[str]) -> None:
-        """Lines with round ends. lines: (m, 2, 2), m. widths: (m,), pixels."""
-        draw = ImageDraw.Draw(image)
-        for ends, width, colour in zip(self._pixels(lines).tolist(), (FINE * widths).tolist(), colours):
-            draw.line([*map(tuple, ends)], colour, round(width))
-            for x, y in ends if width > 2 * FINE else ():
-                draw.ellipse((x - width / 2, y - width / 2, x + width / 2, y + width / 2), colour)
+        self._ax.clear()
+        plotting.draw_state(self._ax, state, **self._limits)
+        self._ax.set(**self._place, aspect="auto")
+        self._ax.axis("off")
+        self._canvas.draw()
+        return np.array(self._canvas.buffer_rgba())[:, :, :3]
 
 
 def write_film(path, pictures: Iterable[np.ndarray], fps: float) -> Path:

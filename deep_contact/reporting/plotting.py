@@ -273,11 +273,10 @@ def draw_state(
     largest value. largest_impulse: of the widest line, N·s, by default the largest of this state. Give both to compare
     several states. Returns the circles' collection, for a colour bar.
     """
-    from matplotlib.collections import LineCollection, PatchCollection
-    from matplotlib.patches import Circle
+    from matplotlib.collections import EllipseCollection, LineCollection
 
-    bodies = state.bodies
-    circles = PatchCollection([Circle(p, r) for p, r in zip(bodies.position, bodies.radius)])
+    bodies, look = state.bodies, {"units": "xy", "offset_transform": ax.transData}
+    circles = EllipseCollection(*[2.0 * bodies.radius] * 2, np.zeros(bodies.count), offsets=bodies.position, **look)
     circles.set(edgecolor="#333333", facecolor="#CFE6F5", linewidth=0.5)
     if colour_by is not None:
         values, label = body_values(state, colour_by)
