@@ -40,7 +40,7 @@ def thesis_hyperparameters() -> dict[str, str]:
         "Stride": only(layer.strides[0] for layer in layers["MaxPooling2D"]),
         "Kernel size": only(tuple(layer.kernel_size) for layer in convolutions),
         "Dropout rate": only(layer.rate for layer in layers["Dropout"]),
-        "Optimizer": config.optimizer.upper(),
+        "Optimizer": "SGD" if config.optimizer == "nesterov" else config.optimizer,
         "Initial learning rate": f"{schedule(0):g}",
         "Batch size": str(config.batch_size),
         "Epochs": str(config.epochs),

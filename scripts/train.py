@@ -31,7 +31,7 @@ QUICK = {
     "far field": {"options": {"width": 8}, "epochs": 8, "states_per_epoch": 960},
     "thesis": {
         "options": {"stacks": [[4, [3]], [8, [3]], [8, [2]], [16, [2]], [16, [2]]]},
-        **{"epochs": 6, "states_per_epoch": 640, "batch_size": 32, "optimizer": "adam", "rate": 1e-3},
+        **{"epochs": 20, "states_per_epoch": 640, "batch_size": 32, "schedule": "scaled appendix b"},
     },
 }
 for _small in QUICK.values():

@@ -40,7 +40,8 @@ def thesis(
     channels: int = len(CHANNELS),
     stacks: Sequence[tuple[int, Sequence[int]]] = THESIS_STACKS,
     dropout: float = 0.1,
-    weight_decay: float = 5e-4,
+    weight_decay: float = 1e-4,
+    rank: int | None = None,
 ) -> keras.Model:
     """The thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · 2).
 
@@ -49,7 +50,8 @@ def thesis(
     as in the thesis.
 
     stacks: filters and sides of the kernels; all but the last are pooled. dropout: after every stack (Table 5.1).
-    weight_decay: of the L2 regulariser; the thesis does not print its value.
+    weight_decay: of the L2 regulariser; the value is that of the authors' code, the thesis prints none.
+    rank: the matrix of the last layer, 244 MB, is a product of two of this rank; None: it is whole, as in the thesis.
     Raises ValueError naming the option and the value.
     """
     if len(shape) != 2:
@@ -71,6 +73,8 @@ def thesis(
             if stage in _NORMALIZED:
                 stack.append(layers.BatchNormalization(name=f"normalization_{stage}"))
     stack.append(layers.Flatten(name="flatten"))
+    if rank is not None:
+        stack.append(layers.Dense(integer("rank", rank, 1), use_bias=False, name="impulses_factor"))
     stack.append(layers.Dense(n_y * n_x * len(TARGETS), activation="relu", name="impulses"))
     return keras.Sequential(stack, name="thesis")
 

@@ -37,6 +37,28 @@ def velocity_errors(state: State, start: tuple[np.ndarray, np.ndarray], sweeps: 
     return np.array([velocity_error(state, swept(k, *start), reference) for k in sweeps])
 
 
+def start_quality(states: Iterable[State], start, *, sweeps: Sequence[int] = SWEEPS) -> dict[str, float]:
+    """How near a start's impulses λ₀ are to the λ of solved states, with contacts, taken together.
+
+    Returns impulse_error ‖λ₀ − λ‖ / ‖λ‖; factor, s = λ₀·λ / λ₀·λ₀, the best for all; scaled_error ‖s λ₀ − λ‖ / ‖λ‖;
+    correlation of λ₀ and λ, of the normals; velocity_error, the mean of `velocity_errors` without any of `sweeps`, and
+    velocity_error_k after k. Where a start is zero, s is 0 and the correlation NaN.
+    """
+    pairs, errors = [], []
+    for state in states:
+        made = start(state, state.solver)
+        pairs.append([made, (state.contacts.normal_impulse, state.contacts.tangent_impulse)])
+        errors.append(velocity_errors(state, made, sweeps))
+    ours, solved = (np.concatenate([np.stack(pair[side]) for pair in pairs], axis=1) for side in (0, 1))
+    factor = float(np.sum(ours * solved) / max(np.sum(ours**2), np.finfo(float).tiny))
+    off = {"impulse_error": ours - solved, "scaled_error": factor * ours - solved}
+    quality = {name: float(np.linalg.norm(value) / np.linalg.norm(solved)) for name, value in off.items()}
+    with np.errstate(invalid="ignore"):
+        quality |= {"factor": factor, "correlation": float(np.corrcoef(ours[0], solved[0])[0, 1])}
+    finite = np.array(errors)[np.isfinite(errors).all(axis=1)].mean(axis=0).tolist()
+    return quality | {f"velocity_error_{k}" if k else "velocity_error": error for k, error in zip(sweeps, finite)}
+
+
 def held_out_errors(
     states: Iterable[State], starts: Mapping[str, object], *, sweeps: Sequence[int] = SWEEPS
 ) -> dict[str, dict]:

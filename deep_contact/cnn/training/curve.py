@@ -15,21 +15,36 @@ def read_history(path) -> list[dict]:
 
 
 def learning_curve(history: list[dict], path) -> Path:
-    """Draw the losses against the epoch, with the best one marked, into a PNG. Returns its path."""
-    epochs = [line["epoch"] + 1 for line in history]
-    losses = [line["validation_loss"] for line in history]
+    """Draw the losses against the epoch, with the best one marked, into a PNG. Returns its path.
+
+    Of a network on images also the penalty of its weights, and what its starts are worth on held-out states.
+    """
+    of_images = "penalty" in history[0]
+    columns = {name: [line[name] for line in history] for name in history[0]}
+    epochs, losses = [epoch + 1 for epoch in columns["epoch"]], columns["validation_loss"]
     best = losses.index(min(losses))
+    look = {"marker": "o", "markersize": 3 if len(history) < 30 else 0}
+
+    def lines(ax, names, title=""):
+        for name, label in names.items():
+            ax.plot(epochs, columns[name], label=label, **look)
+        plotting.label_axes(ax, "epoch", "" if len(names) > 1 else label, title=title)
+        if len(names) > 1:
+            ax.legend()
+        ax.xaxis.get_major_locator().set_params(integer=True)
+
     with plotting.style():
-        figure, (left, right) = plotting.subplots(1, 2, size=(8.0, 3.4))
-        look = {"marker": "o", "markersize": 3 if len(history) < 30 else 0}
-        left.plot(epochs, [line["loss"] for line in history], **look)
-        right.plot(epochs, losses, **look)
-        right.plot(epochs[best], losses[best], "o", color=plotting.VERMILION)
-        plotting.label_axes(left, "epoch", "training loss")
+        figure, axes = plotting.subplots(1, 4 if of_images else 2, size=(14.0 if of_images else 8.0, 3.4))
+        lines(axes[0], {"loss": "training loss"} | ({"penalty": "penalty of the weights"} if of_images else {}))
         title = f"best: {losses[best]:.3g}, after epoch {epochs[best]:g}"
-        plotting.label_axes(right, "epoch", "validation loss", title=title)
-        for ax in (left, right):
-            ax.xaxis.get_major_locator().set_params(integer=True)
+        lines(axes[1], {"validation_loss": "validation loss"}, title)
+        axes[1].plot(epochs[best], losses[best], "o", color=plotting.VERMILION)
+        if of_images:
+            names = {"impulse_error": "error of λ", "scaled_error": "with the best factor", "correlation": "correlation"}
+            lines(axes[2], {f"validation_{name}": label for name, label in names.items()}, "starts, held-out states")
+            names = {"": "at once", "_3": "after 3 sweeps", "_10": "10", "_30": "30"}
+            names = {f"validation_velocity_error{k}": label for k, label in names.items()}
+            lines(axes[3], names, "error of the velocities, held-out states")
         figure.suptitle(f"Does it still learn? {len(history)} epochs", fontsize=10)
         plotting.save(figure, path)
     return Path(path)

@@ -14,7 +14,9 @@ import numpy as np
 from deep_contact.cnn import architectures, schedules
 from deep_contact.cnn.backend import keras
 from deep_contact.cnn.dataset import Split, Store, evenly
+from deep_contact.cnn.evaluation import start_quality
 from deep_contact.cnn.images import input_image, label_image
+from deep_contact.cnn.inference import LearnedModel
 from deep_contact.cnn.model_file import save_model
 from deep_contact.cnn.training.config import TrainingConfig
 from deep_contact.io.files import replacing
@@ -35,10 +37,11 @@ class NetworkRun:
         self.config, self.spec, self.store = config, config.spec(), store
         self.states, self.validation = states, evenly(validation, config.validation_states)
         self.model = network or architectures.build(config.architecture, **(options | config.options))
-        if config.optimizer == "sgd":  # Eq 4.8
-            self.optimizer = keras.optimizers.SGD(config.rate)
-        else:
+        if config.optimizer == "adam":  # Eq 4.10
             self.optimizer = keras.optimizers.Adam(config.rate, global_clipnorm=1.0)
+        else:  # Eq 4.7; Eq 4.9, the momentum of the authors' code
+            momentum = {"momentum": 0.9, "nesterov": True} if config.optimizer == "nesterov" else {}
+            self.optimizer = keras.optimizers.SGD(config.rate, **momentum)
         self.optimizer.build(self.model.trainable_variables)
         self.model.optimizer = self.optimizer  # where Keras's callbacks look for it
         kinds = {"model": self.model.variables, "optimizer": self.optimizer.variables}
@@ -148,6 +151,10 @@ def masked_squared_error(y_true, y_pred):
     return ops.mean(ops.where(ops.not_equal(y_true, 0.0), ops.square(y_pred - y_true), 0.0), axis=-1)
 
 
+JUDGED = 200
+"""About so many validation states show after each epoch what the network is worth as a start."""
+
+
 class ImageRun(NetworkRun):
     """A run whose network predicts images of impulses. Raises ValueError where images have different shapes."""
 
@@ -158,6 +165,8 @@ class ImageRun(NetworkRun):
         self.box = worlds[0].box
         sides = store.states(split.train), store.states(split.validation)
         super().__init__(config, store, *sides, network, shape=next(iter(boxes)))
+        self.judged = [store.state(*state) for state in evenly(self.validation, JUDGED).tolist()]
+        self.learned = LearnedModel(source=self.model, spec=self.spec)
         metrics = [masked_squared_error]  # without the weights' penalty, which the loss has
         self.model.compile(self.optimizer, loss=masked_squared_error, metrics=metrics, jit_compile=False)
 
@@ -175,13 +184,16 @@ class ImageRun(NetworkRun):
         return self._images(order, self.batches_per_epoch())
 
     def step(self, batch) -> tuple[float, int]:
-        """One step. Returns the sum of the losses and the number of states."""
+        """One step. Returns the sum of the losses, without the penalty of the weights, and the number of states."""
         self.model.reset_metrics()
-        loss = self.model.train_on_batch(*batch, return_dict=True)["loss"]
+        loss = self.model.train_on_batch(*batch, return_dict=True)["masked_squared_error"]
         return float(loss) * len(batch[0]), len(batch[0])
 
     def validate(self) -> dict[str, float]:
-        """The loss on the validation states."""
+        """The loss on the validation states, the penalty of the weights, and the start on `judged` states."""
         steps = -(-len(self.validation) // self.config.batch_size)
         measured = self.model.evaluate(self._images(self.validation, steps), steps=steps, verbose=0, return_dict=True)
-        return {"validation_loss": float(measured["masked_squared_error"])}
+        losses = {"penalty": measured["loss"] - measured["masked_squared_error"]}
+        losses |= {"validation_loss": measured["masked_squared_error"]}
+        quality = start_quality(self.judged, lambda state, solver: self.learned.predict(state))
+        return losses | {f"validation_{name}": value for name, value in quality.items()}
