@@ -30,8 +30,8 @@ QUICK_DATA = "--simulations 12 --steps 250 --bodies 40 60 --seed 1 --jobs 1".spl
 QUICK = {
     "far field": {"options": {"width": 8}, "epochs": 8, "states_per_epoch": 960},
     "thesis": {
-        "options": {"stacks": [[4, [3]], [8, [3]], [8, [2]], [16, [2]], [16, [2]]]},
-        **{"epochs": 20, "states_per_epoch": 640, "batch_size": 32, "schedule": "scaled appendix b"},
+        "options": {"stacks": [[4, [3]], [8, [3]], [8, [2]], [16, [2]], [16, [2]]], "dropout": 0.1},
+        **{"epochs": 16, "states_per_epoch": 640, "batch_size": 8, "schedule": "scaled appendix b"},
     },
 }
 for _small in QUICK.values():
@@ -90,6 +90,7 @@ def run(data, out, quick, **changes) -> None:
 
         options["from_model"] = network_file(options["from_model"])
     config = configuration(changes, options["from_model"], quick)
+    print(config)
     out = Path(out or f"runs/{'quick_' if quick else ''}{config.architecture.replace(' ', '_')}")
     from deep_contact.cnn.dataset import Store
 

@@ -42,7 +42,7 @@ def start_quality(states: Iterable[State], start, *, sweeps: Sequence[int] = SWE
 
     Returns impulse_error ‖λ₀ − λ‖ / ‖λ‖; factor, s = λ₀·λ / λ₀·λ₀, the best for all; scaled_error ‖s λ₀ − λ‖ / ‖λ‖;
     correlation of λ₀ and λ, of the normals; velocity_error, the mean of `velocity_errors` without any of `sweeps`, and
-    velocity_error_k after k. Where a start is zero, s is 0 and the correlation NaN.
+    velocity_error_k after k. Of a start that is zero everywhere, s and the correlation are 0.
     """
     pairs, errors = [], []
     for state in states:
@@ -53,8 +53,8 @@ def start_quality(states: Iterable[State], start, *, sweeps: Sequence[int] = SWE
     factor = float(np.sum(ours * solved) / max(np.sum(ours**2), np.finfo(float).tiny))
     off = {"impulse_error": ours - solved, "scaled_error": factor * ours - solved}
     quality = {name: float(np.linalg.norm(value) / np.linalg.norm(solved)) for name, value in off.items()}
-    with np.errstate(invalid="ignore"):
-        quality |= {"factor": factor, "correlation": float(np.corrcoef(ours[0], solved[0])[0, 1])}
+    correlation = float(np.corrcoef(ours[0], solved[0])[0, 1]) if np.ptp(ours[0]) else 0.0
+    quality |= {"factor": factor, "correlation": correlation}
     finite = np.array(errors)[np.isfinite(errors).all(axis=1)].mean(axis=0).tolist()
     return quality | {f"velocity_error_{k}" if k else "velocity_error": error for k, error in zip(sweeps, finite)}
 

@@ -24,12 +24,27 @@ def test_thesis_network_cannot_pull(thesis):
     assert float(np.min(made)) == 0.0
 
 
+def test_weight_decay_is_that_of_the_authors_code(thesis):
+    """1e-4 in their model.py; the thesis prints none."""
+    decays = [float(layer.kernel_regularizer.l2) for layer in thesis.layers if hasattr(layer, "kernel_size")]
+    assert decays == pytest.approx([1e-4] * 14)
+
+
+def test_the_last_layer_may_be_a_product_of_lower_rank(thesis):
+    """8192 x 7442 becomes 8192 x 170 x 7442; what comes before, and what goes in and out, stays."""
+    small = build("thesis", rank=170)
+    assert thesis.count_params() - small.count_params() == 8192 * 7442 - 170 * (8192 + 7442)
+    assert (small.input_shape, small.output_shape) == (thesis.input_shape, thesis.output_shape)
+    assert np.linalg.matrix_rank(small.layers[-2].kernel @ small.layers[-1].kernel[:, :300]) == 170
+
+
 @pytest.mark.parametrize(
     ("name", "options", "field"),
     [
         ("alexnet", {}, "architecture"),
         ("thesis", {"shape": (61, 0)}, r"shape\[1\]"),
         ("thesis", {"dropout": 1.0}, "dropout"),
+        ("thesis", {"rank": 0}, "rank"),
         ("far field", {"widht": 8}, "options of far field: expected"),
     ],
 )

@@ -14,7 +14,7 @@ from conftest import run_python
 import deep_contact as dc
 from deep_contact.cnn import evaluation, far_field, inference, model_file, registry
 from deep_contact.cnn.architectures import build
-from deep_contact.cnn.evaluation import held_out_errors, velocity_errors
+from deep_contact.cnn.evaluation import held_out_errors, start_quality, velocity_errors
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.inference import LearnedModel, load_model
 from deep_contact.cnn.model_file import METADATA, ModelFileError, read_metadata, save_model
@@ -393,6 +393,18 @@ def test_errors_of_known_starts(falling_states):
     phases = held_out_errors(falling_states, {"none": NoStart(), "copy": Copy()}, sweeps=(0, 5))["phases"]
     assert phases["all"]["states"] == sum(phases[name]["states"] for name in ("impact", "settling", "rest"))
     assert (phases["all"]["none"]["mean"][0], phases["all"]["copy"]["mean"][0]) == (1.0, 0.0)
+
+
+def test_quality_of_known_starts(falling_states):
+    """A tenth of the solution has an error of 0.9, which the best factor takes to 0; zero has 1, with any factor."""
+    tenth = start_quality(falling_states, lambda state, solver: [0.1 * part for part in Copy()(state, solver)])
+    expected = {"impulse_error": 0.9, "scaled_error": 0.0, "factor": 10.0, "correlation": 1.0, "velocity_error": 0.9}
+    assert {name: tenth[name] for name in expected} == pytest.approx(expected, abs=1e-9)
+    zero = start_quality(falling_states, NoStart(), sweeps=(0, 5))
+    expected = {"impulse_error": 1.0, "scaled_error": 1.0, "factor": 0.0, "correlation": 0.0, "velocity_error": 1.0}
+    assert {name: zero[name] for name in expected} == expected
+    errors = [velocity_errors(state, NoStart()(state, None), (5,)) for state in falling_states]
+    assert zero["velocity_error_5"] == pytest.approx(np.mean(errors))
 
 
 def test_a_start_by_name_reads_the_model_again_only_if_the_file_changes(tmp_path, monkeypatch):

@@ -142,6 +142,28 @@ def test_callbacks_of_keras_see_the_history_and_may_stop_the_run(data, tmp_path,
     assert [row["val_loss"] for row in rows] == [line["validation_loss"] for line in done.history]
 
 
+def test_the_loss_is_without_the_penalty_of_the_weights(data):
+    """Eq 4.6: L2 adds a factor times the squares of the kernels; in the history it stands apart."""
+    settings = tiny(options=TINY | {"weight_decay": 1.0}, optimizer="nesterov")
+    images = ImageRun(settings, Store(data), Split((0,), (1,), ()), None)
+    kernels = [layer.kernel for layer in images.model.layers if "convolution" in layer.name]
+    penalty = sum(float(np.sum(np.square(kernel))) for kernel in kernels)
+    assert images.validate()["penalty"] == pytest.approx(penalty, rel=1e-5)
+    assert images.validate()["validation_loss"] < penalty / 1000
+    loss, count = images.step(next(images.batches(0)))
+    assert loss / count < penalty / 1000
+
+
+def test_momentum_is_that_of_the_authors_code(data):
+    """Nesterov's, 0.9 (Eq 4.9): steps of a constant gradient g are 1.9 g and (1 + 0.9 * 1.9) g, times the rate."""
+    run = ImageRun(tiny(optimizer="nesterov", rate=0.01), Store(data), Split((0,), (1,), ()), None)
+    weights = run.model.trainable_variables
+    before = weights[0].numpy()
+    for moved in (1.9, 1.9 + 2.71):
+        run.optimizer.apply([np.ones(weight.shape, np.float32) for weight in weights], weights)
+        np.testing.assert_allclose(before - weights[0].numpy(), 0.01 * moved, rtol=1e-3)
+
+
 # ---- batches ----
 
 

@@ -34,17 +34,22 @@ def learning_curve(history: list[dict], path) -> Path:
         ax.xaxis.get_major_locator().set_params(integer=True)
 
     with plotting.style():
-        figure, axes = plotting.subplots(1, 4 if of_images else 2, size=(14.0 if of_images else 8.0, 3.4))
-        lines(axes[0], {"loss": "training loss"} | ({"penalty": "penalty of the weights"} if of_images else {}))
+        rows = 2 if of_images else 1
+        figure, axes = plotting.subplots(rows, 2, size=(8.0, 3.4 * rows))
+        axes = axes.ravel()
+        rates = list(dict.fromkeys(columns["rate"]))
+        title = f"rates: {', '.join(map(str, rates))}" if len(rates) < 5 else ""
+        lines(axes[0], {"loss": "training loss"} | ({"penalty": "penalty of the weights"} if of_images else {}), title)
         title = f"best: {losses[best]:.3g}, after epoch {epochs[best]:g}"
         lines(axes[1], {"validation_loss": "validation loss"}, title)
         axes[1].plot(epochs[best], losses[best], "o", color=plotting.VERMILION)
         if of_images:
-            names = {"impulse_error": "error of λ", "scaled_error": "with the best factor", "correlation": "correlation"}
+            names = {"impulse_error": "error of λ", "scaled_error": "with the best factor"}
+            names |= {"correlation": "correlation"}
             lines(axes[2], {f"validation_{name}": label for name, label in names.items()}, "starts, held-out states")
             names = {"": "at once", "_3": "after 3 sweeps", "_10": "10", "_30": "30"}
             names = {f"validation_velocity_error{k}": label for k, label in names.items()}
-            lines(axes[3], names, "error of the velocities, held-out states")
+            lines(axes[3], names, "error of velocities, held-out states")
         figure.suptitle(f"Does it still learn? {len(history)} epochs", fontsize=10)
         plotting.save(figure, path)
     return Path(path)

@@ -8,7 +8,8 @@ A run is a folder:
 | best.h5     | the model file of the epoch with the lowest validation loss so far                                |
 | history.csv | a line an epoch: number from 0, rate, mean loss, seconds;                                         |
 |             | validation_loss, for the far-field network over that of Builtin's start;                          |
-|             | validation_velocity_error, its mean before any sweep, and _k after k of `TrainingConfig.sweeps`   |
+|             | validation_velocity_error, its mean before any sweep, and _k after k of `TrainingConfig.sweeps`;  |
+|             | of a network on images also penalty, of the weights, and validation_… of `start_quality`          |
 | model.h5    | at the end: the best one with its card                                                            |
 
 Each file is replaced as a whole, and what follows depends only on last.npz, the settings and the data. So a run that is
