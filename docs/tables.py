@@ -19,7 +19,7 @@ from deep_contact.presets import PRESETS
 from deep_contact.reporting import page, results, staleness
 from deep_contact.reporting.figures import cell
 from deep_contact.run_errors import ERRORS
-from deep_contact.studies import chapter_5, verdicts
+from deep_contact.studies import verdicts
 from measured import REFERENCE, ROOT, stored
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -193,14 +193,14 @@ def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
 
 
 def _alike_as_one(found: list[tuple]):
-    """The claims of a table, in one row those of a figure that are open because of the rebuilt network, or in the noise."""
-    alike = {chapter_5.OPEN: "all {} on the network of the thesis", "within the noise": "{} claims: see the appendix"}
-    numbers = Counter((id, claim["holds"]) for id, claim in found)
+    """The claims of a table, in one row those of a figure that are in the noise."""
+    noise = "within the noise"
+    numbers = Counter(id for id, claim in found if claim["holds"] == noise)
     for id, claim in found:
-        if claim["holds"] not in alike:
+        if claim["holds"] != noise:
             yield id, claim
-        elif count := numbers.pop((id, claim["holds"]), 0):
-            text = claim["text"] if count == 1 else alike[claim["holds"]].format(count)
+        elif count := numbers.pop(id, 0):
+            text = claim["text"] if count == 1 else f"{count} claims: see the appendix"
             yield id, claim | ({"text": text, "ratio": None} if count > 1 else {})
 
 

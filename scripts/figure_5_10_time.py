@@ -146,8 +146,7 @@ def claims_of(pile, name, size, network):
             yield Claim(text, thesis, None, means, verdict)
         else:
             first, second, *_ = numbers.values()
-            claim = verdicts.judged_values(first, second, text, thesis, within=within, also=means)
-            yield claim if "k-d tree" in text else chapter_5.of_network(network, claim)
+            yield verdicts.judged_values(first, second, text, thesis, within=within, also=means)
 
 
 def table(data):

@@ -44,7 +44,7 @@ def claims_of_network(data: Mapping, name: str) -> Iterator[Claim]:
     network = data["networks"][name]
 
     def judged(*names, **keywords):
-        return chapter_5.of_network(network, verdicts.judged(data, *names, PLACE, **keywords))
+        return verdicts.judged(data, *names, PLACE, **keywords)
 
     for read, how in chapter_5.READ_NETWORK.items():
         if name + read in data["independent"]:

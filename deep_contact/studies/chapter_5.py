@@ -16,7 +16,6 @@ import numpy as np
 from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.model_file import read_metadata
 from deep_contact.cnn.registry import network_file
-from deep_contact.reporting.figures import Claim
 
 # ---- networks ----
 
@@ -78,12 +77,6 @@ def thesis_layers(channels: int = 5) -> list[dict]:
 THESIS_VISITS = 18_208 * 1000
 """States that the thesis's training showed, in 1,000 epochs; its authors' log held out 4,553 more."""
 
-BOUND = "at rest positions leave λ_n open by ±0.74 of its mean: Figure 6.15"
-OPEN = f"open: the rebuilt network starts little better than None ({BOUND})"
-"""Verdict on what the thesis says of its network; half of the median interval is the error that no network can promise
-to go below."""
-
-
 READ_NETWORK = {"": "", ", shared": ", shared (authors' code),"}
 """What follows the name of a network's start, by how its image is read back -> the same in claims."""
 
@@ -91,13 +84,6 @@ READ_NETWORK = {"": "", ", shared": ", shared (authors' code),"}
 def label_of(network: Mapping) -> str:
     """A network of `networks_info` in claims, by its file."""
     return f"CNN ({Path(network['file']).name})"
-
-
-def of_network(network: Mapping, claim: Claim) -> Claim:
-    """The claim; of the thesis's network it is left open, and `measured` has the verdict on the rebuilt one."""
-    if network["architecture"] != "thesis":
-        return claim
-    return claim._replace(holds=None, verdict=OPEN, measured=claim.measured | {"verdict, rebuilt": claim.verdict})
 
 
 # ---- time to a threshold, by stage: Figure 5.10 ----
