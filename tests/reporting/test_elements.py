@@ -17,8 +17,10 @@ PATHS = sorted(set(re.findall(r"\b[\w./]+\.(?:py|md|cff)(?::\w+)?", PAGE)))
 PRINTED = (Path(__file__).parent / "thesis_elements.txt").read_text(encoding="utf-8").splitlines()
 """Headings and numbers of equations, figures, tables and algorithms, taken from the text of the thesis."""
 
-LISTED = [f"goal {i}" for i in range(1, 10)] + [f"future work {i}" for i in range(1, 6)]
-"""Items of the lists of sections 1.3.1 and 6.2, which have no headings."""
+LISTED = [
+    f"{kind} {i}" for kind, count in (("abstract", 3), ("goal", 9), ("future work", 5)) for i in range(1, count + 1)
+]
+"""Claims of the abstract, and items of the lists of sections 1.3.1 and 6.2, which have no headings."""
 
 
 def expanded(elements):
