@@ -45,7 +45,8 @@ def path_of(name: str) -> Path:
     if path is None:
         raise FileNotFoundError(
             f"model {name}: expected {entry['file']} in {' or '.join(map(str, _folders()))}, which does not exist; the "
-            f"source repository has it as models/{entry['file']}, {FOLDER} names another folder, and `{entry['command']}` trains such a network"
+            f"source repository has it as models/{entry['file']}, {FOLDER} names another folder, and "
+            f"`{entry['command']}` trains such a network"
         )
     status = path.stat()
     if (digest := _sha256(path, status.st_mtime_ns, status.st_size)) != entry["sha256"]:
