@@ -9,6 +9,7 @@ and long tables is printed, which the site has (docs/hooks.py) and the repositor
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import sys
 from collections import Counter
@@ -16,13 +17,16 @@ from collections import Counter
 import measured
 from deep_contact.io.files import write_bytes
 from deep_contact.presets import PRESETS
-from deep_contact.reporting import page, results, staleness
+from deep_contact.reporting import results, staleness
 from deep_contact.reporting.figures import cell
 from deep_contact.run_errors import ERRORS
 from deep_contact.studies import verdicts
 from measured import REFERENCE, ROOT, stored
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
+ERRATA: dict[str, list[dict]] = json.loads((ROOT / "docs" / "errata.json").read_text(encoding="utf-8"))
+"""Kind of a fault of the thesis or of its authors' code -> one dict a fault: where it is, what the thesis says, what is
+right, what is done here."""
 _BLOCK = re.compile(r"(<!-- table: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -250,7 +254,7 @@ def elements() -> list[list]:
 
 def errata(kind: str) -> list[list]:
     """Faults of the thesis, or of its authors' code, and what is done here."""
-    found = page.ERRATA[kind]
+    found = ERRATA[kind]
     return [list(found[0]), *(list(fault.values()) for fault in found)]
 
 
@@ -260,7 +264,7 @@ def appendix() -> str:
         ("Claims of the thesis", claims(of_thesis=True)),
         ("Goals", claims(of_thesis=False)),
         ("Elements of the thesis", elements()),
-        *((kind, errata(kind)) for kind in page.ERRATA),
+        *((kind, errata(kind)) for kind in ERRATA),
         *((stored(stem)["title"], measured.printed(stem)) for stem in LONG if (REFERENCE / f"{stem}.json").exists()),
         ("Engines, falling piles", engine("falling")),
     ]

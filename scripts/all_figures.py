@@ -1,7 +1,7 @@
 """python scripts/all_figures.py [--quick] [--only 3.7,5.9,T5.1] [--out figures] [--jobs J] …
 
-Runs every scripts/figure_*.py and scripts/table_*.py in the order of their numbers. A failure does not stop the others.
-At the end it prints a summary and writes all results of the folder into one page, <out>/index.html.
+Runs every scripts/figure_*.py and scripts/table_*.py in the order of their numbers, and prints a summary. A failure
+does not stop the others.
 
 `--stale` lists the files of data/reference that other code or inputs made than today's, why, and their time then.
 `--references` makes these again: the cheap ones first, those that hold times last, on a machine that does nothing else,
@@ -10,7 +10,6 @@ all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl-C.
 """
 
 import argparse
-import ast
 import json
 import signal
 import subprocess
@@ -19,7 +18,7 @@ import time
 from datetime import timedelta
 from pathlib import Path
 
-from deep_contact.reporting import page, staleness
+from deep_contact.reporting import staleness
 from deep_contact.reporting.figures import INTERRUPTED, common_arguments
 from deep_contact.reporting.results import REFERENCE
 from deep_contact.reporting.scripts import choose, find, stem
@@ -60,11 +59,6 @@ def main(arguments=None, folder=HERE):
         done.append((name, status, seconds, stored))
         if status in INTERRUPTS:
             break
-    if Path(args.out).is_dir() and not args.references:
-        captions = {name.replace("T", "T "): caption(path) for name, path in scripts.items()}
-        expected = [name.replace("T", "T ") for name in chosen]
-        index = page.write_report(args.out, expected=expected, captions=captions)
-        print(f"\nall results as one page: {index}")
     summarise(done)
     return INTERRUPTED if status in INTERRUPTS else int(any(status for _, status, *_ in done))
 
@@ -104,15 +98,6 @@ def timed(command):
         except KeyboardInterrupt:
             status = INTERRUPTED  # the script got Ctrl-C as well; the block ends once it has cleaned up
     return status, time.perf_counter() - start
-
-
-def caption(script):
-    """What a script's docstring says of the figure, and that of its `draw` of the panels."""
-    tree = ast.parse(script.read_text(encoding="utf-8"))
-    draws = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "draw"]
-    about = (ast.get_docstring(tree) or "").split("\n\n")[0].partition(".py: ")[2]
-    panels = (ast.get_docstring(draws[0]) or "").split("\n\n")[0] if draws else ""
-    return " ".join(f"{about[:1].upper()}{about[1:]} {panels}".split())
 
 
 def summarise(done):

@@ -1,4 +1,4 @@
-"""The contract of the figure scripts, results files, plots, the page of all results, and the errata of the thesis."""
+"""The contract of the figure scripts, results files and plots."""
 
 from __future__ import annotations
 
