@@ -32,7 +32,11 @@ COMMANDS = {
 SCENES = ("circles_in_box", "lattice_in_box", "drifting_circles", "hopper", "terrain", "drum")
 """What `trade --scene` makes of numbers of circles and seeds."""
 
-DIVERGED, BAD_ARGUMENTS, BAD_FILE, NO_PACKAGE, INTERRUPTED = 1, 2, 3, 4, 130
+DIVERGED = 1
+BAD_ARGUMENTS = 2
+BAD_FILE = 3
+NO_PACKAGE = 4
+INTERRUPTED = 130
 
 STATUS = """all values are in SI units, impulses in N·s; the settings of a figure are in `figure 3.7 --help`.
 exit status: 0 done, 1 the solver diverged, 2 bad arguments, 3 a file that cannot be read or written, 4 a package that

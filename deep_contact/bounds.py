@@ -25,8 +25,11 @@ from deep_contact.physics.ready import ready
 from deep_contact.state import State, StateWithContacts
 from deep_contact.validation import expect, integer, number
 
-EXACT, MOVING = 1e-8, 1e-6
-"""Largest residual of the impulses, and least velocity of a contact that separates or slides, m/s."""
+EXACT = 1e-8
+"""Largest residual of the impulses, m/s."""
+
+MOVING = 1e-6
+"""Least velocity of a contact that separates or slides, m/s."""
 
 DETERMINED = 1e-6
 """Width below which an interval counts as a point, over the mean λ_n; the programs are solved to 1e-10."""
@@ -62,15 +65,15 @@ def force_bounds(
 ) -> ForceBounds:
     """Least and largest λ_n and λ_t of each contact over all impulses that give the state's exact motion.
 
-    The motion is that of the impulses that a solved state carries (`dc.solve_contacts` with many sweeps), if their
-    `metrics.residual` is at most 1e-8 m/s; `dc.solve_exactly` goes on from others, and solves a state that is not.
-    A contact that separates at more than 1e-6 m/s, a hundred times that residual, carries nothing; one that slides
-    faster is on its edge of Coulomb's cone. Slower ones may carry all that the cone lets them: their intervals are
-    too wide rather than too narrow. Fewer digits in the impulses would need a larger threshold, and see less motion.
+    The motion is that of the state's impulses where their `metrics.residual` is at most 1e-8 m/s. From other impulses,
+    and for a state that is not solved, `dc.solve_exactly` finds it.
+    A contact that separates at more than 1e-6 m/s, a hundred times that residual, carries nothing. One that slides
+    faster than that lies on its edge of Coulomb's cone. Slower ones may carry all that the cone allows: their intervals
+    are too wide rather than too narrow.
 
-    contacts: numbers of those that are wanted; None are all. loads: what was measured, and narrows the set: number of
-    a contact → (normal force, error), N; "floor", "right", "ceiling", "left", or "segment 3" → ((f_x, f_y), error), the
-    force on it as `dc.forces` has it, each component within the error. jobs: processes, or an executor.
+    contacts: numbers of those that are wanted; None are all. loads: measured forces, which narrow the bounds. Number of
+    a contact -> (normal force, error), N. Or "floor", "right", "ceiling", "left", "segment 3" -> ((f_x, f_y), error),
+    N: the force on it as `dc.forces` has it, each component within the error. jobs: processes, or an executor.
     Raises ValueError naming the argument, also where no exact motion was found and where loads contradict it.
     """
     state = ready(state)

@@ -1,12 +1,13 @@
 """The same scene in other engines: Box2D 2.3 (`Box2D`), Chipmunk (`pymunk`) and Box2D v3 (`pyb2d3`).
 
-Tests use them as oracles, benchmarks and studies for comparison. All three adapters have `step(dt, sweeps,
-position_sweeps)`, `run` of many such, `bodies()` and `contact_count()`, and are built from a `State`: its circles with
-equal masses, its box, gravity, friction and restitution. Slop, thresholds and largest speeds are the engines' own,
-which are absolute lengths and speeds; what an adapter sets, Chipmunk's slop and the walls' radius, follows the scene
-(`State.scales`). Sleeping and continuous collision are off, warm starting is on. The contacts of the state are not
-passed on: a fresh world starts its first step from zero. Every adapter raises ImportError where its package is not
-installed, and ValueError for a bad state.
+Tests use them as oracles, benchmarks and studies for comparison. An adapter is built from a `State`: its circles with
+their masses, its box, segments, gravity, friction and restitution. It has `step(dt, sweeps, position_sweeps)`, `run`
+for many steps, `bodies()` and `contact_count()`.
+
+Slop, thresholds and largest speeds are the engines' own, which are absolute lengths and speeds. Only Chipmunk's slop
+and the walls' radius are set by the adapters, and follow the scene (`State.scales`). Sleeping and continuous collision
+are off, warm starting is on. Contacts are not passed on: the first step starts from zero. An adapter raises ImportError
+where its package is not installed, and ValueError for a bad state.
 """
 
 from __future__ import annotations

@@ -1,14 +1,15 @@
 """How accurate, and the cheapest way there: the presets of `simulate(accuracy=…)`, and `recommend`.
 
-A preset is a table of tolerances on the errors of a run (`run_errors.ERRORS`). Which setting keeps them at the
-least cost is read from what `scripts/run_tradeoff.py --install` measured: errors and times of settings (method, sweeps,
-time step) on falling piles of equal and of mixed circles, with and without friction, elastic ones, a gas and a drum.
+A preset is a table of tolerances on the errors of a run (`run_errors.ERRORS`). The package has a study of settings: a
+method, a number of sweeps and a time step each. It has their errors and times on kinds of scenes (`studies.runs`), and
+was written by `scripts/run_tradeoff.py --install`. A preset takes the cheapest setting that keeps its tolerances on
+scenes like the user's.
 
-A setting's time step is that of circles of r = 1 m under g = 9.81 m/s²; for others it is scaled by √(r / g), and the
-step that a user gives is divided into substeps where it is longer. Most settings divide it further where something is
-about to hit (`physics.substeps`), and have a slop of their own.
+A setting's time step is meant for circles of r = 1 m under g = 9.81 m/s². For others it is scaled by √(r / g). Where
+the user's step is longer, it is divided into substeps. Most settings divide it further where something is about to hit
+(`physics.substeps`), and have a slop of their own.
 
-Scenes that a few sweeps cannot solve are recognised by `stiffness`, and get a solver of their own.
+A scene that a few sweeps cannot solve gets a solver of its own (`stiffness`).
 """
 
 from __future__ import annotations
@@ -63,19 +64,19 @@ changes; the forces of frictionless piles are tolerated loosely up to "accurate"
 """
 
 MARGIN = 0.85
-"""Share of its tolerance that an error of the study should have: its ensembles are few seeds of a few scenes."""
+"""Largest share of its tolerance that an error of the study should have: the study has few seeds of a few scenes."""
 
 KNOWN = 1.0
 """Largest error, %, of a setting where the answer is known (`studies.known`): no preset takes one that has more."""
 
 _NEARLY = 1.05
-"""A step that is longer by so much is not divided: radii drawn around 1 m have a mean that is not exactly 1 m."""
+"""A step so many times as long as the study's is not divided: the mean of radii drawn around 1 m is not exactly 1 m."""
 
 MOST_SUBSTEPS = 1024
 """A preset divides a step into so many at most."""
 
 FASTEST = 10.0
-"""Speed of circles, in √(g r), up to which the study's time steps hold; faster ones get shorter steps."""
+"""Largest speed of circles, in √(g r), that the study's time steps are meant for; faster ones get shorter steps."""
 
 DENSITIES = {"densities": (2, 10, 100), "heavy on light": (10, 100), "light on heavy": (10,)}
 """Ratios of two densities that the study has, mixed and in layers."""
@@ -90,7 +91,8 @@ DENSE = 0.5
 """Share of the rectangle around them that its circles cover at least."""
 
 MEASURING = 600 * 500
-"""Steps of a preset that measuring a trade of 600 steps takes the time of: six seeds, a reference and its half step."""
+"""Measuring a trade of 600 steps (six seeds, a reference, half its step) takes the time of so many steps of a
+preset."""
 
 
 class PresetWarning(UserWarning):
@@ -147,10 +149,10 @@ class Recommendation:
 
 
 def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: float | None = None) -> Recommendation:
-    """The cheapest setting that keeps the tolerances of a preset, or the most accurate within a time.
+    """The cheapest setting that keeps the tolerances of a preset, or the most accurate one that a budget allows.
 
-    accuracy: a name of `PRESETS`; by default "fast". budget_ms: wall time of a step of the scene's Δt, ms.
-    Times are those of the processor of the study. Raises ValueError on a bad wish or on two at once.
+    accuracy: a name of `PRESETS`; by default "fast". budget_ms: wall time of a step of the scene's Δt, ms, on the
+    processor of the study. Raises ValueError where both are given, and on a bad one.
     """
     if accuracy is not None and budget_ms is not None:
         raise ValueError("recommend: expected one of accuracy, budget_ms, got both")
@@ -190,8 +192,11 @@ def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
 
 
 class Decision(NamedTuple):
-    """What `simulate(accuracy=…)` takes for a scene: a solver, the name of a start, what a step of the scene's Δt costs
-    on the study's processor, μs (at most, of what is solved to a tolerance), what makes it stiff, and warnings."""
+    """What `simulate(accuracy=…)` takes for a scene.
+
+    us: time of a step of the scene's Δt on the study's processor, μs; an upper bound where it is solved to a tolerance.
+    stiff: what makes the scene too stiff for a few sweeps, or None. start: name of the start.
+    """
 
     solver: object
     start: str
@@ -263,7 +268,8 @@ def parts_for(numbers: SceneNumbers, dt: float) -> int:
 
 
 def keeping(candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True) -> list[dict]:
-    """Those whose "errors" keep tolerances: where there are any, and with `margin`, those by `MARGIN`."""
+    """The candidates whose "errors" keep tolerances. With `margin`, those that keep them by `MARGIN`, if there are
+    any."""
     shares = (MARGIN, 1.0) if margin else (1.0,)
     kept = ([one for one in candidates if excess(one["errors"], tolerances) <= most] for most in shares)
     return next(filter(None, kept), [])

@@ -1,9 +1,9 @@
-"""What is looked at of a run, and the errors of an ensemble of runs against another, with intervals.
+"""Observations of a run, and errors of an ensemble of runs against another one, with intervals.
 
-A pile is chaotic: two runs differ after a second, whatever the solver. So errors compare means and distributions over
-ensembles of seeds with those of the limit of small steps. They count lengths in mean radii r and speeds in √(g r): the
-numbers are the same at every scale. Without gravity a tenth of the fastest circle's speed stands in for √(g r), as in
-`presets.longest_step`.
+A pile is chaotic: two runs differ after a second, whatever the solver. So an error compares the means and distributions
+of an ensemble of seeds with those of a reference, the limit of small steps. Lengths are counted in mean radii r and
+speeds in √(g r), so that errors are the same at every scale. Without gravity a tenth of the fastest circle's speed
+takes the place of √(g r), as in `presets.longest_step`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ REST = 20
 """The last so many observations are those at rest."""
 
 SETTLED = 0.2
-"""Root mean square speed of the reference at rest, √(g r), below which heights are settled: those in a drum are not."""
+"""Heights are settled where the reference's root mean square speed at rest is below this, √(g r); in a drum it is
+not."""
 
 TOUCHING = 1e-3
 """Gap, in radii, below which two circles count as in contact: rigid ones that touch have a gap of 0."""
@@ -150,14 +151,14 @@ def with_next(name: str, quantity: Callable, state: State, before: list | str) -
 
 
 def errors(found: Sequence[Observation], reference: Sequence[Observation]) -> dict[str, float | None]:
-    """The `ERRORS` of an ensemble against the reference's ensemble of the same scenes; None for an unknown one.
+    """The `ERRORS` of an ensemble against the reference's ensemble of the same scenes; None for one that is unknown.
 
-    And of each quantity of the user two, as shares of the reference's size. Its name: mean curve,
-    Σ |⟨q⟩ − ⟨q⟩*| / Σ |⟨q⟩*|. "… spread": distance of the distributions over seeds of the mean over a run
-    (Wasserstein). Both are absolute where the reference is 0.
+    A quantity q of the user has two errors, as shares of the reference's size. By its name: that of the mean curve,
+    Σ |⟨q⟩ − ⟨q⟩*| / Σ |⟨q⟩*|. By "q spread": the distance (Wasserstein) of two distributions over seeds, those of q's
+    mean over a run. Both are absolute where the reference is 0.
 
-    Without gravity nothing comes to rest: the energy and the deepest penetration are left. A share of nothing, such as
-    of the energy of circles that never move, is unknown too.
+    Without gravity nothing comes to rest: only the energy and the deepest penetration are known. A share of nothing,
+    such as of the energy of circles that never move, is unknown too.
     """
     mean, true = _means(found), _means(reference)
     at_rest = slice(-REST, None)

@@ -1,9 +1,9 @@
 """The trade of speed for accuracy on a scene of your own: `measure_trade`, and the `Trade` that it returns.
 
-Settings run an ensemble of the scene beside a reference, 20 sweeps of PGS in steps 16 times as small as a preset's
-largest. Errors are those of the study (`run_errors.ERRORS`) and of quantities of the user, with intervals over seeds.
-A setting is a mapping that JSON can hold: a method, or another engine, with its options, sweeps and Δt. The study of
-scripts/run_tradeoff.py runs, times and judges its settings by the same functions.
+Every setting runs the scene with several seeds. A reference runs it too, with 20 sweeps of PGS and steps a sixteenth of
+the largest that a preset takes. Errors are the differences of both ensembles (`run_errors`), with intervals over seeds.
+A setting is a mapping that JSON can hold: a method of ours, or another engine, with its options, sweeps and Δt.
+The studies of runs (`studies.runs`) run, time and judge their settings by the same functions.
 """
 
 from __future__ import annotations
@@ -52,6 +52,7 @@ from deep_contact.run_errors import (
 from deep_contact.scene_numbers import SceneNumbers, scene_numbers
 from deep_contact.simulation import simulate
 from deep_contact.state import State, notebook
+from deep_contact.state.scales import mean
 from deep_contact.stiffness import Stiffness, stiffness
 from deep_contact.validation import brief, expect, integer, number, one_of
 
@@ -61,12 +62,17 @@ FRAMES = 120
 FEWEST_SEEDS = 3
 """Seeds below which a budget drops settings first."""
 
-SHIFT, APART = 1e-3, 0.01
-"""Largest shift of a coordinate of a copy of a state, in slops, and root mean square distance, in radii, from which
-copies count as no longer together."""
+SHIFT = 1e-3
+"""Largest shift of a coordinate of a copy of a state, in slops."""
 
-TIMED, LONG_ENOUGH = 2, 0.02
-"""Seeds whose runs are timed, each in one go, and time of a run, s, from which once is enough."""
+APART = 0.01
+"""Root mean square distance, in mean radii, from which two copies are no longer together."""
+
+TIMED = 2
+"""Seeds whose runs are timed, each in one go."""
+
+LONG_ENOUGH = 0.02
+"""Time of a run, s, from which it is timed once."""
 
 WARM = 5
 """Steps of a run before its time counts: the first ones load code, fill an engine's memory and find all contacts."""
@@ -83,8 +89,11 @@ LARGEST_FILE = 2**30
 ABSOLUTE = ("penetration", "penetration_95", "penetration_max")
 """Errors that compare with zero, not with the reference."""
 
-REFERENCE, HALF = "reference", "half step"
-"""Names of the reference's runs, and of those of half its step, among the observed."""
+REFERENCE = "reference"
+"""Name of the reference's runs among those that are observed."""
+
+HALF = "half step"
+"""Name of the runs of half its step."""
 
 STARTING = 5.0
 """Time until processes compute, s."""
@@ -314,7 +323,7 @@ class Trade:
         return next(row for row in mine if row["name"] == best["name"])
 
     def enough(self, name: str, difference: float) -> int:
-        """Seeds with which chance makes half of a difference at most."""
+        """So many seeds that what they alone make of an error is at most half of a difference."""
         return math.ceil(self.seeds * (2.0 * self.noise.get(name, 0.0) / difference) ** 2)
 
     def values(self, quantity: str) -> dict[str, np.ndarray]:
@@ -446,14 +455,17 @@ def measure_trade(
 ) -> Trade:
     """Measure what each setting costs on a scene, and what it gets wrong.
 
-    scene: a state, of which each seed makes a copy shifted by up to `SHIFT` slops; or a function of a seed that makes
-    one. steps: of the scene's Δt. seeds: their number, or the seeds. minutes: a budget: fewer seeds, settings and runs
-    of the check of the reference, and an end when it is over. What has to be compiled first does not count.
-    quantities: name -> function of a state, a number or an array, looked at `FRAMES` times a run.
-    settings: solvers beside the presets, in place of the short ladder around these. engines: Box2D and pymunk too,
-    where they have the scene. jobs: as in `parallel.finished`. before: an earlier result, which this one goes on from.
-    The time that it takes is told first, on standard error; Ctrl-C returns what is known. Raises ValueError on bad
-    arguments, and where the reference comes to no end.
+    scene: a state, or a function of a seed that makes one. Of a state each seed makes a copy, shifted by up to `SHIFT`
+    slops. steps: of the scene's Δt, in each run. seeds: how many, or which.
+    minutes: a budget. It leaves out seeds, settings and a part of the check of the reference, and the measurement ends
+    when it is over. Compiling does not count.
+    quantities: name -> a function of a state that returns a number or an array; it is called `FRAMES` times a run.
+    settings: solvers to measure beside the presets; by default a short ladder around these.
+    engines: whether Box2D and pymunk run too, where they have the scene. jobs: as in `parallel.finished`.
+    before: an earlier result, whose runs are not done again.
+
+    How long it will take is said first, on standard error. Ctrl-C returns what is known by then.
+    Raises ValueError on bad arguments, and where a run of the reference ends with an error.
     """
     numbers, quantities = _checked(steps, minutes, seeds, quantities, jobs)
     states = copies(scene, numbers)
@@ -462,11 +474,13 @@ def measure_trade(
     begun, every = time.perf_counter(), max(1, steps // FRAMES)
     frames, interval, most = steps // every, every * trade.dt, math.inf if minutes is None else 60.0 * minutes
     workers = parallel.workers(jobs)
+    # What each run will take.
     costs, judging = _costs(trade, setting_by_name, states[0], frames, interval)
 
     def cost(name, i):  # a run that is timed is run twice
         return costs[name] * (2 if _is_timed(trade, name, i) else 1)
 
+    # The largest plan that the budget has room for.
     for names, count, checked in _plans(trade, costs, len(states)):
         parts = [(name, i) for i in range(count) for name in (REFERENCE, *names)] + [(HALF, i) for i in range(checked)]
         parts = [part for part in parts if part not in trade.observed]
@@ -481,6 +495,7 @@ def measure_trade(
     trade.predicted_s = time.perf_counter() - begun + needed + (STARTING if workers > 1 else 0.0)
     what = f"{notebook.counted(len(names), 'setting')} and a reference, {notebook.counted(count, 'seed')}"
     print(f"measure_trade: {what}: about {trade.predicted_s:.0f} s", file=sys.stderr, flush=True)
+    # Its runs, until they are done, the budget ends or the user interrupts them.
     tasks = [
         (states[i], setting_by_name[name], frames, interval, quantities, _is_timed(trade, name, i)) for name, i in parts
     ]
@@ -503,6 +518,7 @@ def measure_trade(
         if not any(name == REFERENCE for name, _ in trade.observed):
             raise
         trade.notes.append("interrupted: this is what was known then")
+    # What they say.
     _judge(trade)
     if isinstance(scene, State) and len(states) > 1:
         trade.notes.append(_together(states[:2], trade, frames, interval))
@@ -715,6 +731,6 @@ def _together(pair: Sequence[State], trade: Trade, frames: int, interval: float)
     setting = trade.settings[trade.by_preset["fast"]]
     for k, (one, other) in enumerate(zip(*(states_of(state, setting, frames, interval) for state in pair))):
         apart = np.sqrt(((one.bodies.position - other.bodies.position) ** 2).sum(axis=1).mean())
-        if apart > APART * one.bodies.radius.mean():
+        if apart > APART * mean(one.bodies.radius):
             return f"copies of the state stay within {APART:.0%} of a radius of one another for {k * interval:.3g} s"
     return f"copies of the state stay together: the spread over seeds is that of shifts of {SHIFT:g} slops"

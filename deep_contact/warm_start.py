@@ -63,9 +63,9 @@ class FromProblem:
 class Scaled(FromProblem):
     """Builtin's impulses times one number α between 0 and 1: the exact line search along them (`best_share`).
 
-    An impact makes what was carried too large or wrong, and α small; at rest α is 1. It costs one pass over the
-    contacts. Weakness: one α for all. Along a run it forgets what Builtin adds up over the steps, so that piles sink
-    (docs/starts.md); from states of well solved runs it saves sweeps in impacts.
+    In an impact the carried impulses are too large or wrong, and α is small; at rest α is 1. It costs one pass over the
+    contacts. From states of well solved runs it saves sweeps in impacts. Weakness: there is one α for all contacts.
+    Builtin adds up half-solved impulses over the steps of a run, and α shrinks these, so that piles sink.
     """
 
     def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
@@ -94,7 +94,10 @@ class Copy:
 
 @dataclass(frozen=True)
 class Random:
-    """Chance within the cone, by `seed` and step: λ_n uniform up to the largest solved one, λ_t uniform in ±μ λ_n."""
+    """Random impulses in the cone: λ_n uniform from 0 to the largest solved one, λ_t uniform in ±μ λ_n.
+
+    seed: with the number of the step it decides which.
+    """
 
     seed: int = 0
 
@@ -110,8 +113,9 @@ class Random:
 
 @dataclass(frozen=True)
 class Bad:
-    """As wrong as a start in the cone gets: everywhere `factor` times the largest solved λ_n, and friction that pushes
-    the wrong way along the edge of the cone."""
+    """As wrong as a start in the cone gets: every λ_n is `factor` times the largest solved one, and every λ_t lies on
+    the
+    edge of the cone on the wrong side."""
 
     factor: float = 10.0
 
@@ -130,12 +134,16 @@ TRANSFERS: tuple[Transfer, ...] = get_args(Transfer)
 class Sph:
     """The solution after a round trip through a grid image (the thesis's SPH-Model, Algorithm 5).
 
-    spacing: d of the grid, m. support: h of the kernel, m; by default h = d. transfer: one of `TRANSFERS`. All spread
-    each impulse by weights that sum to one (Appendix A). "thesis" (the start "sph") reads it back bilinearly (Algorithm
-    4), which returns only a part of it, and nothing of a contact that reaches no node; "consistent" ("sph consistent",
-    ours) divides what is read back by what a field of ones returns. The thesis's authors programmed "spline" ("sph
-    spline") for this start and "shared" for that of their network (`sph.thesis`). Raises ValueError on an unknown
-    transfer; the rest is checked by `deep_contact.sph`.
+    spacing: d of the grid, m. support: h of the kernel, m; by default h = d. transfer: one of `TRANSFERS`. All of them
+    spread an impulse over nodes by weights that sum to one (Appendix A), and differ in how they read it back:
+
+    - "thesis" (the start "sph"): bilinearly (Algorithm 4). That returns a part of the impulse, and nothing where no
+      node is within h.
+    - "consistent" ("sph consistent", ours): bilinearly, divided by what a field of ones returns.
+    - "spline" ("sph spline"): as the thesis's authors programmed it for this start (`sph.thesis`).
+    - "shared": as they programmed it for the start of their network.
+
+    Raises ValueError on an unknown transfer; `deep_contact.sph` checks the rest.
     """
 
     spacing: float = 0.5
@@ -278,10 +286,11 @@ def warm_start_of(start: Start) -> WarmStart:
 def starting_impulses(
     start, state: State, solver, scales: ContactScales | None = None
 ) -> tuple[np.ndarray, np.ndarray, StepProblem | None]:
-    """The impulses of a start, or the two arrays that are given in its place, checked: own float64 arrays, (m,), N·s.
+    """(λ_n, λ_t, problem) of a start, or of two arrays in its place: checked float64 arrays of their own, (m,) each,
+    N·s.
 
-    After them the state's contact problem, for the step to go on from, where a start with a method `from_problem(state,
-    solver, problem)` needed it, or None. scales: the state's, if at hand.
+    problem: the state's contact problem, where a start with a method `from_problem(state, solver, problem)` needed it,
+    so that the step goes on from it; else None. scales: the state's, if at hand.
     Raises ValueError on impulses that do not fit the contacts or are beyond `state.LARGEST_START`.
     """
     problem = None

@@ -24,8 +24,14 @@ from deep_contact.reporting import Claim, Figure, figures
 from deep_contact.state import State
 from deep_contact.studies import piles, timing
 
-TIME_STEP, POSITION_SWEEPS = 0.01, 3
-FEW, MANY = 10, 100
+TIME_STEP = 0.01
+"""Δt, s."""
+POSITION_SWEEPS = 3
+"""Most sweeps of position correction in a step."""
+FEW = 10
+"""Sweeps of a step as users do it."""
+MANY = 100
+"""Sweeps of a step whose time is nearly that of its sweeps."""
 BLOCKS = (FEW, MANY, MANY, FEW)
 """Sweeps of the blocks of steps that are timed. In this order a pile's change while it falls cancels out."""
 WARM_UP = 10

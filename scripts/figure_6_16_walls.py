@@ -55,8 +55,11 @@ def measure(name, n, options, seed, jobs):
     return {"scene": name, "n_bodies": n, "rows": rows, "presets": runs.presets(rows), "chosen": chosen}
 
 
-VALUE, LOW = 0, 1
-"""Of an error: its value, and the lower end of its interval."""
+VALUE = 0
+"""Place of an error in [value, low, high]."""
+
+LOW = 1
+"""Place of the lower end of its interval."""
 
 
 def worst(row, preset, end=VALUE):

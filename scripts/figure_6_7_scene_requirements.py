@@ -23,8 +23,11 @@ from deep_contact.state.checks import make_bodies
 from deep_contact.studies import piles, timing
 from deep_contact.studies.starts import solved_states
 
-FEW, ENOUGH = 10, 1_000_000
-"""The time of a sweep follows from `FEW` sweeps and from so many that they do `ENOUGH` more relaxations."""
+FEW = 10
+"""Sweeps of the shorter of two solves, whose difference is the time of a sweep."""
+
+ENOUGH = 1_000_000
+"""Relaxations of a contact that the longer one does more."""
 
 
 STEP = PGS(sweeps=10, tolerance=None)

@@ -13,8 +13,11 @@ from numba.np import linalg
 from deep_contact.compiled.boxing import safe_results
 from deep_contact.compiled.code_cache import CodeCache
 
-PATIENCE, ESTIMATE = 0.5, "it takes half a minute to a minute; `deep-contact warm-up` does it ahead"
-"""After how many seconds a process says that it is compiling, and how long it may take."""
+PATIENCE = 0.5
+"""Time, s, after which a process says that it is compiling."""
+
+ESTIMATE = "it takes half a minute to a minute; `deep-contact warm-up` does it ahead"
+"""What it says of the time."""
 
 # Numba imports scipy.linalg only to know whether it can compile `np.dot`, which takes a quarter of the time to the
 # first step. This package depends on SciPy, and Numba checks again when it compiles a call of BLAS.

@@ -6,8 +6,8 @@ A script describes itself by a `Figure`, and runs where it is the program that w
     figures.run_as_script(FIGURE, __name__)
 
 `compute` makes the numbers. `claims`, `table` and `draw` see only what is stored of them, so that a picture drawn again
-from its file is the same picture. Settings go through `--set`, read by hand: argparse has no options with spaces in the
-name, and none of the type of a default that is a list, a dict or None.
+from its file is the same picture. Settings are changed by `--set NAME=VALUE`: a name may have spaces, and a value has
+the type of the default, which may be a list, a dict or None.
 """
 
 from __future__ import annotations
@@ -93,7 +93,8 @@ class Figure:
         return (results.reference(self.stem) or {"claims": []}) if "quick" in self.changed(options) else None
 
     def changed(self, options: dict) -> list[str]:
-        """What of a run is not the figure's own: "quick" where a setting of the quick run is, and other settings."""
+        """The settings of a run that are not the figure's own: "quick" for those of the quick run, others as
+        NAME=VALUE."""
         own, quick = (results.plain(of, where="options") for of in (self.options, self.quick))
         small = {name: value for name, value in quick.items() if options[name] == value != own[name]}
         others = [name for name, value in options.items() if value != own[name] and name not in small]

@@ -367,8 +367,11 @@ def readable_on(colours: np.ndarray) -> np.ndarray:
     return np.where(colours[..., :3] @ np.array([0.299, 0.587, 0.114]) > 0.5, "#222222", "white")
 
 
-_CHARACTER, _LINE = 0.084, 0.17
-"""Width of a character of a table and height of a line at 8 pt, inches."""
+_CHARACTER = 0.084
+"""Width of a character of a table at 8 pt, inches."""
+
+_LINE = 0.17
+"""Height of its line, inches."""
 
 
 def draw_table(rows: Sequence[Sequence[str]], title: str):

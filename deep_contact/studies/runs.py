@@ -1,7 +1,8 @@
-"""The scenes of the study of runs, and what it says of presets and rivals; the presets read it.
+"""Scenes × settings × seeds -> rows of errors and times; the scenes of the study of runs, and what presets take of it.
 
-`observed_rows` and `timed_rows` measure scenes × settings × seeds by the functions of `deep_contact.trade`, every
-setting on the same scenes. Errors need no quiet machine; times are measured one after the other on one.
+`observed_rows` measures errors: every setting runs the same scenes, by the functions of `deep_contact.trade`.
+`timed_rows` measures times, one after the other, on a machine that does nothing else. The study (run_tradeoff.py), the
+check on other scenes (run_tradeoff_verify.py) and Figure 6.16 are lists of scenes and settings for them.
 
 Time steps are those of circles of r = 1 m under g = 9.81 m/s²: what counts is Δt √(g / r).
 """
@@ -134,10 +135,11 @@ def observed_rows(
     work: Path,
     jobs: int | Executor,
 ) -> dict[Key, dict]:
-    """A row with errors for each case, key -> (setting, number of seeds); the first of a scene is its reference.
+    """A row with errors for each case.
 
-    make: (kind, n_bodies, seed) -> scene, found by import. seconds: of a run. work: folder of the finished parts, which
-    a study of the same commit does not compute again. The reference has no errors.
+    cases: key -> (setting, number of seeds). The first case of a scene is its reference, which has no errors.
+    make: (kind, n_bodies, seed) -> scene, a function found by import. seconds: of a run. work: folder where finished
+    parts are kept: a study of the same commit does not compute them again.
     """
     common = {"seconds": seconds, "commit": commit()}
     parts = [(key, common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": setting})
@@ -161,9 +163,9 @@ def observed_rows(
 def timed_rows(
     make: Callable, rows: Mapping[Key, dict], times: Mapping[Key, int], *, seed: int, seconds: float, work: Path
 ) -> list[dict]:
-    """The rows with "times", μs, each from a process and a scene of its own, as many as `times` says, and their median.
+    """The rows with "times", μs, and "us", their median. Nothing else should run meanwhile.
 
-    Nothing else should run meanwhile.
+    times: key -> how many. Each is measured in a process of its own, on a scene of another seed.
     """
     common, took = {"seconds": seconds, "commit": commit()}, {key: [] for key in rows}
     scenes = parallel.seeds(seed, max(times.values(), default=0))
@@ -194,12 +196,13 @@ def read_study(path) -> dict:
 def presets(rows: Sequence[Mapping]) -> list[dict]:
     """For each size and preset the setting that it takes, and the cheapest of each rival that keeps it.
 
-    Returns [{"n_bodies", "preset", "kinds": kind -> ours, "peers": engine -> on plain piles, "ratio"}] of {"name",
-    "us", "times", "seeds"} or None each. Ours is what `simulate(accuracy=…)` takes, which leaves a margin
-    (`presets.keeping`); a rival's setting may use up all of its tolerances.
-    ratio: time of the fastest rival over ours on plain piles, [value, low, high] or None each. The value is the median
-    over the processes that measured times. Low is the least of them, and of those where all our errors are at the upper
-    and all of theirs at the lower ends of their intervals; high the largest, and of those the other way round.
+    Returns [{"n_bodies", "preset", "kinds": kind -> ours, "peers": engine -> on plain piles, "ratio"}]. A setting is
+    {"name", "us", "times", "seeds"}, or None where there is none. Ours is what `simulate(accuracy=…)` takes, which
+    leaves a margin (`presets.keeping`); a rival's setting may use up all of its tolerances.
+    ratio: time of the fastest rival over ours on plain piles, [value, low, high], None where it is unknown. The value
+    is the median over the processes that measured times. Low is the least of these ratios and of those that follow with
+    our errors at the upper ends of their intervals and theirs at the lower ends. High is the largest, with ours at the
+    lower and theirs at the upper ends.
     """
     known = [row for row in rows if row["us"] is not None and row["errors"] and row.get("known", 0.0) <= KNOWN]
 

@@ -23,13 +23,25 @@ SMALLEST = 1e-15
 SHOWN = (1, 10, 100, 1000)
 """Numbers of sweeps after which `measured` shows a ratio."""
 
-FASTER, MUCH_FASTER, SLOWER, ALIKE = (0.0, 1.0), (0.0, 0.5), (1.0, np.inf), (0.8, 1.25)
-"""Ranges of θ over θ: of a start that is faster, much faster (at most half), slower, or alike within a quarter."""
+FASTER = (0.0, 1.0)
+"""Range of θ over θ of a start that is faster than another."""
+
+MUCH_FASTER = (0.0, 0.5)
+"""Of one that leaves at most half."""
+
+SLOWER = (1.0, np.inf)
+"""Of one that is slower."""
+
+ALIKE = (0.8, 1.25)
+"""Of one that is alike within a quarter."""
 
 NAMED = {FASTER: "below 1", MUCH_FASTER: "below 0.5", SLOWER: "above 1", ALIKE: "0.8 to 1.25"}
 
-RATIO, BY_SWEEP = "ratio and its interval", "θ ratio and its interval, by sweep"
-"""Names of what decides a claim, in `measured`: [ratio, low, high], or that by number of sweeps."""
+RATIO = "ratio and its interval"
+"""What decides a claim on one number, in `measured`: [ratio, low, high]."""
+
+BY_SWEEP = "θ ratio and its interval, by sweep"
+"""What decides a claim on curves: number of sweeps -> [ratio, low, high]."""
 
 Names = str | Sequence[str]
 
