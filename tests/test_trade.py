@@ -285,9 +285,9 @@ def test_a_barrel_is_measured():
 
 def test_the_command_line_and_recommend_lead_to_it(tmp_path, capsys):
     out = tmp_path / "trade.json"
-    words = ["--scene", "hopper", "--bodies", "20", "--steps", "20", "--seeds", "1", "--out", str(out)]
+    words = ["--scene", "lattice_in_box", "--bodies", "20", "--steps", "20", "--seeds", "1", "--out", str(out)]
     assert main(["trade", *words]) == 0
-    assert capsys.readouterr().out.startswith("hopper_20: 20 circles, 20 steps of 0.01 s, 1 seed")
+    assert capsys.readouterr().out.startswith("lattice_20: 20 circles, 20 steps of 0.01 s, 1 seed")
     assert dc.load_trade(out).n_bodies == 20
     assert "dc.measure_trade(scene) measures it on this scene" in str(dc.recommend(dc.lattice_in_box(40, friction=0.9)))
 

@@ -109,7 +109,7 @@ def test_sigterm_keeps_what_a_trade_has_measured_as_ctrl_c_does(tmp_path, monkey
         return real(task)
 
     monkeypatch.setattr(trade, "_task", terminated)
-    words = ["--scene", "hopper", "--bodies", "20", "--steps", "20", "--seeds", "3", "--out", str(out)]
+    words = ["--bodies", "20", "--steps", "20", "--seeds", "3", "--out", str(out)]
     assert main(["trade", *words]) == 0
     assert len(calls) == 12
     assert "interrupted: this is what was known then" in dc.load_trade(out).notes
