@@ -132,6 +132,7 @@ def points_of(ax):
     return points[((points >= seen.min) & (points <= seen.max)).all(axis=1)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("id", STORED)
 def test_a_stored_picture_can_be_read(id):
     """Letters that can be read, nothing clipped, no legend over data."""
