@@ -5,7 +5,7 @@ it from another file. Here cached code is stale once any file of this package ha
 directly or not. Cached bytes carry a checksum: damaged ones, which would end the process, are compiled again. Code for
 classes of other packages is not kept, since it would outlive a change of them. Code is read beside the sources, even
 where nothing can be written there, and written to the first folder that takes it. Processes that need the same function
-at the same time compile it once.
+for the same types at the same time compile it once.
 """
 
 from __future__ import annotations
@@ -53,7 +53,8 @@ class CodeCache(caching.NullCache):
         file = inspect.getfile(function)
         name = f"{Path(file).stem}.{function.__qualname__}-{function.__code__.co_firstlineno}".translate(_BRACKETS)
         name += f".py{sys.version_info[0]}{sys.version_info[1]}{getattr(sys, 'abiflags', '')}"
-        self._py_func, self._files, self._turn = function, [], _Turn(name, _folders(file), on_wait)
+        self._py_func, self._files = function, []
+        self._turn, self._writing = (_Turn(f"{name}{of}", _folders(file), on_wait) for of in ("", " index"))
         with suppress(OSError):  # no sources, as in a frozen program or a notebook
             stamp = source_stamp(Path(file))
             self._files = [_CheckedFile(folder, name, stamp) for folder in _folders(file)]
@@ -65,7 +66,7 @@ class CodeCache(caching.NullCache):
         context.refresh()
         key = self._index_key(signature, context.codegen())
         reduced = self._load(key)
-        if reduced is None and self._files and self._turn.take():
+        if reduced is None and self._files and self._turn.take(str(signature)):
             reduced = self._load(key)
         return None if reduced is None else compiler.CompileResult._rebuild(context, *reduced)
 
@@ -80,7 +81,11 @@ class CodeCache(caching.NullCache):
         for file in self._files:
             with suppress(OSError):
                 os.makedirs(file._cache_path, exist_ok=True)
-                return file.save(key, reduced)
+                self._writing.take()  # or two processes that add a version would lose one, or number both alike
+                try:
+                    return file.save(key, reduced)
+                finally:
+                    self._writing.end()
         _warn_once()
 
     def end_turn(self) -> None:
@@ -110,16 +115,17 @@ def _warn_once() -> None:
 
 
 class _Turn:
-    """The turn of this process to compile a function: a lock on a byte of a file, which ends with the process at last.
+    """The turn of this process at a function: a lock on a byte of a file, which ends with the process at last.
 
     on_wait: called where another process has had it for a while.
     """
 
     def __init__(self, name: str, folders: list[str], on_wait: Callable):
-        self._byte, self._folders, self._on_wait, self._file = zlib.crc32(name.encode()) >> 1, folders, on_wait, None
+        self._name, self._folders, self._on_wait, self._file, self._byte = name, folders, on_wait, None, 0
 
-    def take(self) -> bool:
-        """Wait for the turn, at most `MOST_WAIT`. Returns whether it was taken."""
+    def take(self, signature: str = "") -> bool:
+        """Wait for the turn at the function for a signature, at most `MOST_WAIT`. Returns whether it was taken."""
+        self._byte = zlib.crc32(f"{self._name} {signature}".encode()) >> 1
         file, begun = next(filter(None, map(_lock_file, self._folders)), None), time.monotonic()
         while file is not None and time.monotonic() - begun < MOST_WAIT:
             try:

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import numba
@@ -234,8 +235,8 @@ def test_code_is_read_where_nothing_can_be_written_and_written_elsewhere(folders
 def test_what_another_process_has_compiled_meanwhile_is_not_compiled_again(folders, monkeypatch):
     mine, others = (njit(double, cache=True) for _ in range(2))
 
-    def wait(turn):
-        monkeypatch.setattr(code_cache._Turn, "take", lambda turn: False)
+    def wait(turn, signature):
+        monkeypatch.setattr(code_cache._Turn, "take", lambda turn, signature="": False)
         return others(1) == 2
 
     monkeypatch.setattr(code_cache._Turn, "take", wait)
@@ -246,7 +247,7 @@ def test_what_another_process_has_compiled_meanwhile_is_not_compiled_again(folde
 TAKEN = """
 import sys
 from deep_contact.compiled.code_cache import _Turn
-print(_Turn("f", sys.argv[1:], None).take(), flush=True)
+print(_Turn("f", sys.argv[1:], None).take("int64"), flush=True)
 sys.stdin.read()
 """
 
@@ -257,12 +258,51 @@ def test_another_processs_turn_is_waited_for_as_long_as_it_lives_but_not_for_eve
     turn = code_cache._Turn("f", [str(tmp_path)], lambda: said.append("compiling"))
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as other:
         assert other.stdout.readline() == "True\n"
-        assert code_cache._Turn("g", [str(tmp_path)], None).take()  # of another function
+        assert code_cache._Turn("g", [str(tmp_path)], None).take("int64")  # of another function
+        assert code_cache._Turn("f", [str(tmp_path)], None).take("float64")  # of other types
         monkeypatch.setattr(code_cache, "MOST_WAIT", 0.7)
-        assert not turn.take()
+        assert not turn.take("int64")
         assert said
         other.kill()
-    assert turn.take()
+    assert turn.take("int64")
+
+
+TWO = """
+import sys, time
+from deep_contact.compiled.code_cache import _CheckedFile
+sys.path.insert(0, sys.argv[1])
+from both import double, types
+save = _CheckedFile._save_index
+_CheckedFile._save_index = lambda *arguments: (time.sleep(0.1), save(*arguments))  # the other one reads the index now
+print(flush=True)
+sys.stdin.readline()
+for kind in types[int(sys.argv[2]) :: 2]:
+    double(kind(1))
+"""
+
+
+@needs_compiler
+@pytest.mark.skipif(code_cache.fcntl is None, reason="no locks on this system")
+def test_processes_that_compile_for_different_types_at_once_keep_every_version(tmp_path, monkeypatch):
+    (tmp_path / "both.py").write_text(
+        "import numpy as np\nfrom deep_contact.compiled import njit\n"
+        "types = [np.int8, np.int16, np.int32, np.int64, np.float32, np.float64, np.complex64, np.complex128]\n"
+        "@njit(cache=True)\ndef double(x):\n    return 2 * x\n"
+    )
+    command = [sys.executable, "-c", TWO, str(tmp_path)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with ExitStack() as stack:
+        both = [stack.enter_context(subprocess.Popen([*command, str(i)], **pipes)) for i in range(2)]
+        for process in both:
+            process.stdout.readline()
+        for process in both:
+            process.stdin.write("\n")
+            process.stdin.close()
+    monkeypatch.syspath_prepend(tmp_path)
+    import both as module
+
+    assert [module.double(kind(1)) for kind in module.types] == [2] * 8
+    assert hits_and_misses(module.double) == (8, 0)
 
 
 def test_an_index_that_names_a_class_which_has_moved_counts_as_none(tmp_path):
