@@ -8,7 +8,14 @@ from conftest import load_script
 golden = load_script("golden")
 
 
-@pytest.mark.parametrize("name", golden.RUNS)
+RARE = {f"frictionless, {name}" for name in ("islands", "NesterovPGS", "NNCG")}
+RARE |= {f"elastic, {name}" for name in ("islands", "NesterovPGS")}
+"""Runs whose kinds no other test compiles, which takes ten seconds each."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in RARE)) for name in golden.RUNS]
+)
 def test_a_run_is_what_it_was(name):
     assert golden.difference(name) == ""
 

@@ -4,6 +4,7 @@ import inspect
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields, is_dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -18,7 +19,6 @@ from deep_contact.warm_start import STARTS
 
 THREADS, SCENES, PGS = 8, 4, dc.PGS(sweeps=5)
 WORLD = dc.World(box=(0.0, 0.0, 12.0, 12.0), segments=[((0, 3), (6, 1)), ((6, 1), (12, 3))], friction=0.4)
-MODELS = {name: dc.load_model(name) for name in ("model", "no_past", "models/thesis_factored.h5")}
 
 
 def scene(i):
@@ -29,8 +29,20 @@ def scene(i):
     return dc.State(name=f"scene {i}", world=WORLD, bodies=bodies, solver=PGS)
 
 
-STATES = [dc.simulate(scene(i), steps=60).state for i in range(SCENES)]
-BOXES = [dc.simulate(dc.circles_in_box(20 + i, size=30.0, seed=i), steps=150, solver=PGS).state for i in range(SCENES)]
+@cache
+def states():
+    return [dc.simulate(scene(i), steps=60).state for i in range(SCENES)]
+
+
+@cache
+def boxes():
+    boxes = [dc.circles_in_box(20 + i, size=30.0, seed=i) for i in range(SCENES)]
+    return [dc.simulate(box, steps=150, solver=PGS).state for box in boxes]
+
+
+@cache
+def models():
+    return {name: dc.load_model(name) for name in ("model", "no_past", "models/thesis_factored.h5")}
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +50,7 @@ def folder(tmp_path_factory):
     """A state, a run and its solved states of each scene, and a trade."""
     folder = tmp_path_factory.mktemp("threads")
     for i in range(SCENES):
-        dc.write_state(folder / f"{i}.xml", STATES[i])
+        dc.write_state(folder / f"{i}.xml", states()[i])
         dc.simulate(scene(i), steps=30, record=10).trajectory.save(folder / f"{i}.h5")
         write_simulation(simulation_path(folder, i), solved_states(scene(i), steps=60, solver=PGS, every=10))
     dc.measure_trade(dc.column(2), steps=20, seeds=1, settings=[]).save(folder / "trade.json")
@@ -49,38 +61,40 @@ def folder(tmp_path_factory):
 def calls(folder):
     """What is called -> a function of the number of a scene."""
     grid, store, one = sph.Grid.over_box(WORLD.box, 0.5), Store(folder, cache_bytes=0), folder / "one.xml"
-    places = [state.bodies.position for state in STATES]
+    places = [state.bodies.position for state in states()]
 
     def of(name, *arguments, **options):
         return lambda i: getattr(dc, name)(*(each[i] for each in arguments), **options)
 
-    calls = {f"simulate, {start}": of("simulate", BOXES, steps=3, warm_start=start) for start in STARTS}
-    for name, model in MODELS.items():
-        calls[f"solve_contacts, {name}"] = of("solve_contacts", BOXES, start=model)
-        calls[f"predict, {name}"] = lambda i, model=model: model.predict(BOXES[i])
+    calls = {f"simulate, {start}": of("simulate", boxes(), steps=3, warm_start=start) for start in STARTS}
+    for name, model in models().items():
+        calls[f"solve_contacts, {name}"] = of("solve_contacts", boxes(), start=model)
+        calls[f"predict, {name}"] = lambda i, model=model: model.predict(boxes()[i])
     scenes, several, few = list(map(scene, range(SCENES))), range(8, 8 + SCENES), {"steps": 20, "seeds": 1}
     calls |= {name: of(name, several) for name in ("barrel", "column", "drum", "hopper", "terrain", "drifting_circles")}
     calls |= {name: of(name, several) for name in ("circles_in_box", "lattice_in_box")}
     calls |= {name: of(name) for name in ("single_body", "two_bodies", "sample_file")}
-    calls |= {name: of(name, STATES) for name in ("forces", "stress", "coordination", "contact_table", "solve_exactly")}
+    calls |= {
+        name: of(name, states()) for name in ("forces", "stress", "coordination", "contact_table", "solve_exactly")
+    }
     calls |= {name: of(name, scenes) for name in ("find_contacts", "plan", "recommend")}
     return calls | {
         "simulate": of("simulate", scenes, steps=10, record=2, forces=True, accuracy="accurate"),
-        "BatchedPGS": of("simulate", STATES, steps=5, solver=dc.BatchedPGS()),
-        "simulate_many": lambda i: dc.simulate_many(STATES[i:], steps=3),
-        "solve_contacts": of("solve_contacts", STATES, start="copy"),
-        "step": of("step", STATES),
-        "force_bounds": of("force_bounds", STATES, contacts=[0, 1]),
+        "BatchedPGS": of("simulate", states(), steps=5, solver=dc.BatchedPGS()),
+        "simulate_many": lambda i: dc.simulate_many(states()[i:], steps=3),
+        "solve_contacts": of("solve_contacts", states(), start="copy"),
+        "step": of("step", states()),
+        "force_bounds": of("force_bounds", states(), contacts=[0, 1]),
         "decide": lambda i: presets.decide(scenes[i], None),
         "measure_trade": lambda i: [row["errors"] for row in dc.measure_trade(scenes[i], settings=[], **few).rows],
         "load_trade": lambda i: str(dc.load_trade(folder / "trade.json")),
-        "load_model": lambda i: dc.load_model("no_past").predict(BOXES[i]),
+        "load_model": lambda i: dc.load_model("no_past").predict(boxes()[i]),
         "read_state": lambda i: dc.read_state(folder / f"{i}.xml"),
-        "write_state": lambda i: [dc.write_state(one, STATES[0]), dc.read_state(one)][1],
+        "write_state": lambda i: [dc.write_state(one, states()[0]), dc.read_state(one)][1],
         "load_trajectory": lambda i: dc.load_trajectory(folder / f"{i}.h5")[1],
         "Store": lambda i: store.state(i, 0),
-        "mean_stress": of("mean_stress", STATES, spacing=2.0),
-        "neighbours": of("neighbours", STATES, range(SCENES)),
+        "mean_stress": of("mean_stress", states(), spacing=2.0),
+        "neighbours": of("neighbours", states(), range(SCENES)),
         "force_on": lambda i: dc.simulate(scenes[i], steps=9, record=3, forces=True).force_on(SIDES[i]),
         "transfer": lambda i: sph.gather(grid, sph.splat(grid, places[i], places[i], h=0.7), places[i]),
         "make_bodies": of("make_bodies", places),

@@ -126,7 +126,7 @@ class _Turn:
     def take(self, signature: str = "") -> bool:
         """Wait for the turn at the function for a signature, at most `MOST_WAIT`. Returns whether it was taken."""
         self._byte = zlib.crc32(f"{self._name} {signature}".encode()) >> 1
-        file, begun = next(filter(None, map(_lock_file, self._folders)), None), time.monotonic()
+        file, begun = next((one for one in map(_lock_file, self._folders) if one is not None), None), time.monotonic()
         while file is not None and time.monotonic() - begun < MOST_WAIT:
             try:
                 fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, self._byte)
@@ -148,11 +148,11 @@ class _Turn:
 
 @cache
 def _lock_file(folder: str):
-    """The file whose bytes are locked, or None. It stays open, since closing it would end all turns."""
+    """Descriptor of the file whose bytes are locked, or None. It stays open: closing it would end all turns."""
     with suppress(OSError):
         if fcntl is not None:
             os.makedirs(folder, exist_ok=True)
-            return open(os.path.join(folder, "deep_contact.lock"), "wb")
+            return os.open(os.path.join(folder, "deep_contact.lock"), os.O_RDWR | os.O_CREAT, 0o666)
 
 
 @cache

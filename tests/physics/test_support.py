@@ -52,17 +52,19 @@ def test_without_gravity_nothing_is_carried():
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
 def test_the_impulses_of_a_pile_are_admissible_and_a_better_start_than_none(friction):
-    scene = dc.lattice_in_box(150, friction=friction, radius=(0.6, 1.4), seed=4)
-    state = dc.simulate(scene, steps=900, solver=dc.PGS(sweeps=30, tolerance=None)).state
-    exact = dc.solve_contacts(state, solver=dc.NNCG(sweeps=4000, tolerance=1e-9))
-    state = without_past(state)
-    normal, tangent = Support()(state, dc.PGS())
-    assert (normal >= 0).all()
-    assert (np.abs(tangent) <= friction * normal + 1e-12).all()
-    solver = dc.NesterovPGS(sweeps=20, tolerance=None)
-    none, ours = (dc.solve_contacts(state, solver=solver, start=start) for start in (None, (normal, tangent)))
-    none, ours = (metrics.velocity_error(state, solution, exact) for solution in (none, ours))
-    assert ours < 0.6 * none
+    shares, solver = [], dc.NesterovPGS(sweeps=20, tolerance=None)
+    for seed in range(5):
+        scene = dc.lattice_in_box(80, friction=friction, radius=(0.6, 1.4), seed=seed)
+        state = dc.simulate(scene, steps=900, solver=dc.PGS(sweeps=30, tolerance=None)).state
+        exact = dc.solve_contacts(state, solver=dc.NNCG(sweeps=4000, tolerance=1e-9))
+        state = without_past(state)
+        normal, tangent = Support()(state, dc.PGS())
+        assert (normal >= 0).all()
+        assert (np.abs(tangent) <= friction * normal + 1e-12).all()
+        none, ours = (dc.solve_contacts(state, solver=solver, start=start) for start in (None, (normal, tangent)))
+        none, ours = (metrics.velocity_error(state, solution, exact) for solution in (none, ours))
+        shares.append(ours / none)
+    assert np.median(shares) < 0.7
 
 
 def test_a_pile_without_a_past_does_not_fall_into_itself():
