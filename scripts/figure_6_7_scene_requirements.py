@@ -33,7 +33,6 @@ ENOUGH = 1_000_000
 STEP = PGS(sweeps=10, tolerance=None)
 """The step whose parts are compared."""
 
-
 SCATTERED = {"size": (300.0, 30.0), "sigma_coef": 5.0}
 """A box in which circles fall into many heaps."""
 

@@ -1,8 +1,4 @@
-"""Chapter 4 worked through with numbers, in plain NumPy and by Keras or TensorFlow.
-
-Each computation follows the thesis's equation literally, to be compared with the library: a convolution (Eq 4.1), a
-network (Eq 4.3, 4.4), max pooling, backpropagation (Eq 4.11-4.18). The last section looks into a trained network.
-"""
+"""What several figures of chapter 4 use: layers of Keras on arrays, neurons, and a look into a trained network."""
 
 from __future__ import annotations
 
@@ -10,8 +6,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-
-# ---- a convolution ----
 
 
 def by_keras(layer: str, *arguments, x: np.ndarray, weights: Sequence[np.ndarray] = (), **options) -> np.ndarray:
@@ -24,9 +18,6 @@ def by_keras(layer: str, *arguments, x: np.ndarray, weights: Sequence[np.ndarray
     return np.asarray(made(np.asarray(x, dtype=np.float64)[None])[0])
 
 
-# ---- neurons ----
-
-
 def relu(x):
     """Eq 4.4, max(0, x)."""
     return np.maximum(0.0, x)
@@ -36,15 +27,6 @@ def random_layers(sizes: Sequence[int], seed: int) -> list[tuple]:
     """`forward`'s layers between so many neurons each, with He normal weights (Table 5.2) and small biases."""
     rng = np.random.default_rng(seed)
     return [(rng.normal(0.0, np.sqrt(2 / n), (n, m)), rng.normal(0.0, 0.1, m)) for n, m in pairwise(sizes)]
-
-
-# ---- max pooling ----
-
-
-# ---- backpropagation, section 4.3.5 ----
-
-
-# ---- inside a trained network ----
 
 
 def feature_maps(model, image: np.ndarray, names: Sequence[str], training: bool = False) -> dict[str, np.ndarray]:

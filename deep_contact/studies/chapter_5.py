@@ -73,7 +73,6 @@ def thesis_layers(channels: int = 5) -> list[dict]:
 
 # ---- the CNN start beside the others: Figure 5.9 ----
 
-
 THESIS_VISITS = 18_208 * 1000
 """States that the thesis's training showed, in 1,000 epochs; its authors' log held out 4,553 more."""
 
@@ -84,6 +83,3 @@ READ_NETWORK = {"": "", ", shared": ", shared (authors' code),"}
 def label_of(network: Mapping) -> str:
     """A network of `networks_info` in claims, by its file."""
     return f"CNN ({Path(network['file']).name})"
-
-
-# ---- time to a threshold, by stage: Figure 5.10 ----
