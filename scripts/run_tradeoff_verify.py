@@ -153,12 +153,15 @@ def table(data):
     return rows
 
 
+MEDIUM = [kind for kind in KINDS if kind != "silo"]
+"""Higher silos are solved to a tolerance, which takes hours."""
+
 LARGE = ["plain", "narrow radii", "hopper", "terrain", "low dam", "densities 1 : 5", "heavy on light 1 : 5"]
 OPTIONS = {
-    "scenes": {n: [*KINDS] for n in ("100", "300", "1000")} | {"3000": LARGE}
+    "scenes": {"100": [*KINDS], "300": MEDIUM, "1000": MEDIUM, "3000": LARGE}
     | {"10000": ["plain", "hopper", "low dam", "densities 1 : 5"]},
     "seeds": {"100": 20, "300": 10, "1000": 6, "3000": 4, "10000": 3}, "seconds": 6.0,
-    "timed": {"100": ["plain"], "1000": [*KINDS], "10000": ["plain"]},
+    "timed": {"100": ["plain"], "1000": MEDIUM, "10000": ["plain"]},
     "trades": {"100": ["silo", "heavy drum", "belt", "hopper", "terrain", "low dam", "thin gas", "wide radii"]},
     "trade_seeds": 6, "work": "runs/run_tradeoff_verify",
 }  # fmt: skip
