@@ -469,61 +469,86 @@ def measure_trade(
     """
     numbers, quantities = _checked(steps, minutes, seeds, quantities, jobs)
     states = copies(scene, numbers)
-    trade, setting_by_name = _begun(states, steps, settings, engines, quantities)
+    trade, by_name = _begun(states, steps, settings, engines, quantities)
     trade.observed = {} if before is None else _known(trade, before)
-    begun, every = time.perf_counter(), max(1, steps // FRAMES)
-    frames, interval, most = steps // every, every * trade.dt, math.inf if minutes is None else 60.0 * minutes
-    workers = parallel.workers(jobs)
-    # What each run will take.
-    costs, judging = _costs(trade, setting_by_name, states[0], frames, interval)
-
-    def cost(name, i):  # a run that is timed is run twice
-        return costs[name] * (2 if _is_timed(trade, name, i) else 1)
-
-    # The largest plan that the budget has room for.
-    for names, count, checked in _plans(trade, costs, len(states)):
-        parts = [(name, i) for i in range(count) for name in (REFERENCE, *names)] + [(HALF, i) for i in range(checked)]
-        parts = [part for part in parts if part not in trade.observed]
-        needed = sum(cost(*part) for part in parts) / workers + judging * (len(names) + 1)
-        if needed <= 0.9 * most:
-            break
-    else:
-        text = f"minutes: the least, a seed of the presets and the reference, takes about {needed:.0f} s"
-        warnings.warn(f"{text}, more than the {most:g} s that were given", presets.PresetWarning, stacklevel=2)
-    if (left := len(trade.settings) - len(names)) or count < len(states):
-        trade.notes.append(f"within {minutes:g} min: {count} of {len(states)} seeds, {left} settings left out")
-    trade.predicted_s = time.perf_counter() - begun + needed + (STARTING if workers > 1 else 0.0)
-    what = f"{notebook.counted(len(names), 'setting')} and a reference, {notebook.counted(count, 'seed')}"
-    print(f"measure_trade: {what}: about {trade.predicted_s:.0f} s", file=sys.stderr, flush=True)
-    # Its runs, until they are done, the budget ends or the user interrupts them.
-    tasks = [
-        (states[i], setting_by_name[name], frames, interval, quantities, _is_timed(trade, name, i)) for name, i in parts
-    ]
-    bar = progress_bar(total=max(1, round(sum(cost(*part) for part in parts))), text="trade")
-    bar.bar_format = "{desc}: {percentage:.0f}% {bar} {elapsed}<{remaining}"
-    try:
-        with bar, closing(parallel.finished(_task, tasks, jobs=jobs)) as done:
-            for i, result in done:
-                bar.update(cost(*parts[i]))
-                if isinstance(result, str):
-                    expect(parts[i][0] != REFERENCE, f"scene: expected one that the reference can run, got {result}")
-                    trade.notes.append(f"{parts[i][0]} comes to no end: {result}")
-                else:
-                    trade.observed[parts[i]] = result
-                following = cost(*parts[min(i + workers, len(parts) - 1)]) + judging * len(names)
-                if time.perf_counter() - begun + following > most:
-                    trade.notes += [f"the budget of {minutes:g} min ended first"] * (i + 1 < len(parts))
-                    break
-    except KeyboardInterrupt:
-        if not any(name == REFERENCE for name, _ in trade.observed):
-            raise
-        trade.notes.append("interrupted: this is what was known then")
-    # What they say.
+    runs = _Runs(trade, by_name, states, quantities, minutes, jobs)
+    runs.plan()
+    runs.do()
     _judge(trade)
     if isinstance(scene, State) and len(states) > 1:
-        trade.notes.append(_together(states[:2], trade, frames, interval))
-    trade.took_s = time.perf_counter() - begun
+        trade.notes.append(_together(states[:2], trade, runs.frames, runs.interval))
+    trade.took_s = runs.seconds()
     return trade
+
+
+class _Runs:
+    """The runs that a trade needs: what each will take, those that a budget has room for, and how they are done.
+
+    settings: name -> setting, also of the reference's runs. A run is (name of its setting, number of its seed).
+    """
+
+    def __init__(self, trade: Trade, settings: Mapping, states: Sequence[State], quantities: Mapping, minutes, jobs):
+        self._begun, every = time.perf_counter(), max(1, trade.steps // FRAMES)
+        self.frames, self.interval = trade.steps // every, every * trade.dt
+        self._trade, self._settings, self._states, self._quantities = trade, settings, states, quantities
+        self._minutes, self._most = minutes, math.inf if minutes is None else 60.0 * minutes
+        self._jobs, self._workers = jobs, parallel.workers(jobs)
+        self._costs, self._judging = _costs(trade, settings, states[0], self.frames, self.interval)
+
+    def seconds(self) -> float:
+        """Time since the begin."""
+        return time.perf_counter() - self._begun
+
+    def _cost(self, run: tuple[str, int]) -> float:
+        """What a run will take, s; one that is timed is run twice."""
+        return self._costs[run[0]] * (2 if _is_timed(self._trade, *run) else 1)
+
+    def plan(self) -> None:
+        """Choose the runs: of the plans (`_plans`), the largest one that the budget has room for; say what it takes."""
+        trade, count_all = self._trade, len(self._states)
+        for names, count, checked in _plans(trade, self._costs, count_all):
+            runs = [(name, i) for i in range(count) for name in (REFERENCE, *names)]
+            runs += [(HALF, i) for i in range(checked)]
+            self._names, self._runs = names, [run for run in runs if run not in trade.observed]
+            needed = sum(map(self._cost, self._runs)) / self._workers + self._judging * (len(names) + 1)
+            if needed <= 0.9 * self._most:
+                break
+        else:
+            text = f"minutes: the least, a seed of the presets and the reference, takes about {needed:.0f} s"
+            text += f", more than the {self._most:g} s that were given"
+            warnings.warn(text, presets.PresetWarning, stacklevel=3)
+        if (left := len(trade.settings) - len(names)) or count < count_all:
+            note = f"within {self._minutes:g} min: {count} of {count_all} seeds, {left} settings left out"
+            trade.notes.append(note)
+        trade.predicted_s = self.seconds() + needed + (STARTING if self._workers > 1 else 0.0)
+        what = f"{notebook.counted(len(names), 'setting')} and a reference, {notebook.counted(count, 'seed')}"
+        print(f"measure_trade: {what}: about {trade.predicted_s:.0f} s", file=sys.stderr, flush=True)
+
+    def do(self) -> None:
+        """Do them, until all are done, the budget ends, or the user interrupts them; what they gave is in the trade."""
+        trade, last = self._trade, len(self._runs) - 1
+        where = self.frames, self.interval, self._quantities
+        tasks = [(self._states[i], self._settings[name], *where, _is_timed(trade, name, i)) for name, i in self._runs]
+        bar = progress_bar(total=max(1, round(sum(map(self._cost, self._runs)))), text="trade")
+        bar.bar_format = "{desc}: {percentage:.0f}% {bar} {elapsed}<{remaining}"
+        try:
+            with bar, closing(parallel.finished(_task, tasks, jobs=self._jobs)) as done:
+                for k, result in done:
+                    name, _ = run = self._runs[k]
+                    bar.update(self._cost(run))
+                    if isinstance(result, str):
+                        expect(name != REFERENCE, f"scene: expected one that the reference can run, got {result}")
+                        trade.notes.append(f"{name} comes to no end: {result}")
+                    else:
+                        trade.observed[run] = result
+                    following = self._cost(self._runs[min(k + self._workers, last)])
+                    if self.seconds() + following + self._judging * len(self._names) > self._most:
+                        trade.notes += [f"the budget of {self._minutes:g} min ended first"] * (k < last)
+                        break
+        except KeyboardInterrupt:
+            if not any(name == REFERENCE for name, _ in trade.observed):
+                raise
+            trade.notes.append("interrupted: this is what was known then")
 
 
 def _checked(steps, minutes, seeds, quantities, jobs) -> tuple[list[int], dict[str, Callable]]:
