@@ -42,8 +42,7 @@ TABLE = {
 @pytest.fixture
 def study(monkeypatch):
     monkeypatch.setattr(presets, "installed", lambda: TABLE)
-    for name in ("_chosen", "_time_steps"):  # which remember the study of the package
-        monkeypatch.setattr(presets, name, getattr(presets, name).__wrapped__)
+    monkeypatch.setattr(presets, "_chosen", presets._chosen.__wrapped__)
 
 
 def test_the_cheapest_setting_that_keeps_the_preset_is_chosen(study):

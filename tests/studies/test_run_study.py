@@ -8,7 +8,7 @@ import pytest
 from conftest import load_script
 
 import deep_contact as dc
-from deep_contact import peers, presets, trade
+from deep_contact import peers, trade
 from deep_contact.constants import TIME_STEP
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import figures, results
@@ -197,7 +197,6 @@ def test_the_script_installs_what_recommend_reads(study, tmp_path, monkeypatch):
     script.install()
     table = json.loads((tmp_path / "runs.json").read_text())
     monkeypatch.setattr("deep_contact.presets.installed", lambda: table)
-    monkeypatch.setattr(presets, "_time_steps", presets._time_steps.__wrapped__)
     assert dc.recommend(dc.circles_in_box(20), accuracy="preview").us > 0
     assert {setting["name"] for setting in table["settings"]} == {"PGS, 3 sweeps, Δt", "NNCG, 2 sweeps, Δt"}
 
