@@ -295,7 +295,6 @@ def _case(numbers: SceneNumbers, stiff: Stiffness | None) -> tuple:
     return numbers.count, tuple(kinds_of(numbers)), tuple(substeps.items()), solver
 
 
-@functools.cache
 def _time_steps() -> list[float]:
     """Those of the study's settings, and the study's own."""
     return sorted({setting["dt"] for setting in installed()["settings"]} | {TIME_STEP})
