@@ -254,9 +254,9 @@ def interval(statistic: Callable[[np.ndarray], np.ndarray], count: int, *, resam
 
 
 def with_reach(error: Sequence[float]) -> tuple[float, np.ndarray]:
-    """An error of `intervals`, and how far its interval reaches down and up, (2, 1).
+    """An error of `intervals`, and how far its interval reaches below and above it, (2, 1).
 
-    A bootstrap interval by percentiles can lie beside the value, where the value is the largest of what is possible.
+    A bootstrap interval by percentiles may not contain the value; then it reaches 0 to that side.
     """
     value, low, high = error
     return value, np.maximum([[value - low], [high - value]], 0.0)

@@ -89,7 +89,7 @@ class Figure:
         return f"{results.name_of(self.id)}: {self.title}"
 
     def beside(self, options: dict) -> dict | None:
-        """The reference results beside which a quick run is judged (`results.verdict`); None for any other run."""
+        """The reference results that a quick run is judged by (`results.verdict`); None for any other run."""
         return (results.reference(self.stem) or {"claims": []}) if "quick" in self.changed(options) else None
 
     def changed(self, options: dict) -> list[str]:

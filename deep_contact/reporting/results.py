@@ -135,8 +135,9 @@ def name_of(id: str) -> str:
 def verdict(claim: Mapping, beside: Mapping | None = None) -> str:
     """How a stored claim reads: its own verdict if it has one, else "holds", "does not hold" or "open".
 
-    beside: results of the reference run, for a claim of a smaller run. Where both agree, that is said; where they do
-    not, it is "too few states to tell", and what the reference run says. A number of circles may differ.
+    beside: results of the reference run, for a claim of a smaller run. Where the same claim of both comes out alike,
+    that is said. Where it does not, the verdict is "too few states to tell", and what the reference run says. Claims
+    are the same if their texts are, whatever the number of circles.
     """
     own = claim.get("verdict") or {True: "holds", False: "does not hold", None: "open"}[claim["holds"]]
     if beside is None:

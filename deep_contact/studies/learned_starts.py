@@ -1,9 +1,9 @@
 """Learned starts against classical ones: Figures 6.8 and 6.10.
 
-A setting is a start and the solver that follows it: "builtin, NNCG", or "builtin", which PGS follows. A learned start
-with its best solver is compared with the best classical setting, chosen after the fact. Errors are velocity errors
-(`metrics`) on the same states: {setting: (states, numbers of sweeps)}. Times are measured apart, with nothing else
-running. Seeds of scenes are none that a network was trained on.
+A setting is a start and the solver that follows it, such as "builtin, NNCG"; after "builtin" alone follows PGS. The
+learned start with its best solver is compared with the best classical setting; both are chosen after the errors are
+known. Errors are velocity errors (`metrics`) on the same states: setting -> (states, numbers of sweeps). Times are
+measured apart, with nothing else running. No network was trained on scenes of these seeds.
 """
 
 from __future__ import annotations

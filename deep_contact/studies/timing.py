@@ -1,7 +1,8 @@
-"""How long calls take: warm-up runs, interleaved runs, and what is kept of their times. All times are in seconds.
+"""How long calls take. All times are in seconds.
 
-A minimum is the time that other programs disturbed least, so it is the default. Callables that are compared are run in
-turns, so that a change of the processor's speed meets all of them. Nothing else should run meanwhile.
+Calls that are compared run in turns, after a run of each to warm up, so that a change of the processor's speed meets
+all of them. Of several times the least is kept by default: other programs disturbed it least. Nothing else should run
+meanwhile.
 """
 
 from __future__ import annotations
