@@ -1,17 +1,12 @@
 """python scripts/figure_5_9_cnn.py: the CNN start beside all others, on scenes that no network was trained on."""
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 
-import numpy as np
-
-from deep_contact.physics.contact_solver import projected
 from deep_contact.reporting import Figure, figures
 from deep_contact.reporting.figures import Claim
-from deep_contact.state import State
 from deep_contact.studies import chapter_5, starts, verdicts
-from deep_contact.studies.starts import READ, start_of
-from deep_contact.warm_start import Sph
+from deep_contact.studies.chapter_5 import ReadBySharing
+from deep_contact.studies.starts import READ
 
 TITLE = "Does a network's start converge like SPH's?"
 
@@ -21,18 +16,6 @@ CLOSE = (0.5, 2.0)
 
 
 PLACE = "section 5.4, Figure 5.9"
-
-
-@dataclass(frozen=True)
-class ReadBySharing:
-    """A network's start, its image read back as the thesis's authors programmed it: each node shares out its value."""
-
-    model: str
-
-    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
-        model = start_of({"model": self.model}).model
-        way = Sph(spacing=model.spec.spacing, support=model.spec.support, transfer="shared")
-        return projected(*way.gather(state, np.float64(model.predict_image(state))), state.world.friction)
 
 
 def claims_of_network(data: Mapping, name: str) -> Iterator[Claim]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,10 @@ import numpy as np
 from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.model_file import read_metadata
 from deep_contact.cnn.registry import network_file
+from deep_contact.physics.contact_solver import projected
+from deep_contact.state import State
+from deep_contact.studies import starts
+from deep_contact.warm_start import Sph
 
 # ---- networks ----
 
@@ -75,6 +80,19 @@ def thesis_layers(channels: int = 5) -> list[dict]:
 
 THESIS_VISITS = 18_208 * 1000
 """States that the thesis's training showed, in 1,000 epochs; its authors' log held out 4,553 more."""
+
+
+@dataclass(frozen=True)
+class ReadBySharing:
+    """A network's start, its image read back as the thesis's authors programmed it: each node shares out its value."""
+
+    model: str
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        model = starts.start_of({"model": self.model}).model
+        way = Sph(spacing=model.spec.spacing, support=model.spec.support, transfer="shared")
+        return projected(*way.gather(state, np.float64(model.predict_image(state))), state.world.friction)
+
 
 READ_NETWORK = {"": "", ", shared": ", shared (authors' code),"}
 """What follows the name of a network's start, by how its image is read back -> the same in claims."""

@@ -91,7 +91,7 @@ def test_a_network_can_be_compared_like_any_other_start(network):
 
 def test_a_network_read_as_its_authors_did_gives_each_node_to_its_contacts(falling_states, network):
     state, path = falling_states[5], str(network)
-    start = pickle.loads(pickle.dumps(load_script("figure_5_9").ReadBySharing(path)))  # as it goes to another process
+    start = pickle.loads(pickle.dumps(chapter_5.ReadBySharing(path)))  # as it goes to another process
     image, shared = dc.load_model(path).predict_image(state), Sph(spacing=0.5, transfer="shared")
     normal, _ = shared.gather(state, image.astype(float))
     found = start(state, dc.PGS())
