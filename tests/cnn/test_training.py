@@ -253,3 +253,5 @@ def test_a_script_goes_on_from_a_model(undisturbed):
     assert (settings.epochs, settings.rate, settings.options) == (2, 0.01, {"dropout": 0.2})
     quick = script.configuration({"epochs": 2}, None, quick=True)
     assert (quick.epochs, quick.options, quick.states_per_epoch) == (2, {"width": 8}, 960)
+    thesis = script.configuration({"architecture": "thesis"}, None, quick=True)
+    assert (thesis.optimizer, thesis.schedule, thesis.options["dropout"]) == ("nesterov", "scaled appendix b", 0.1)
