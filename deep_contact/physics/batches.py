@@ -5,7 +5,8 @@ occurs twice, so eight contacts are one vector operation (`compiled.simd`). Wall
 share them.
 
 The list of contacts is cut into blocks of `BLOCK`, and each block is coloured greedily: a batch is a colour of a block.
-Blocks are relaxed phase by phase; those of a phase share no circle.
+Blocks are relaxed phase by phase; those of a phase share no circle. This order is a part of the result: a run with more
+than two blocks has other bits where blocks are relaxed in the order of the list.
 
 A batch is stored as tiles of eight contacts; the last one is padded with contacts between the idle body and itself. A
 block has five bodies of its own beside the circles: the four walls, and the idle one.
@@ -55,7 +56,8 @@ BLOCK = 1024
 """Contacts coloured together: smaller blocks fill fewer tiles, larger ones leave the nearest cache."""
 
 COLOURS = 64
-"""Colours, and phases, in a bit mask. A contact without a free colour is a batch of its own; so are phases."""
+"""Colours, and phases, in a bit mask. A contact without a free colour is a batch of its own. Blocks without a free
+phase come last, in the order of the list."""
 
 CONTACTS, BLOCKS, TILES, CIRCLES, ROWS = range(5)
 """Elements of `BatchPlan.count`."""
@@ -119,15 +121,13 @@ def plan_batches(body_a, body_b, n, plan):
     m = body_a.shape[0]
     if m > plan.batch.shape[0]:
         plan = make_plan(n, m + m // 2)
-    blocks, tiles, alone = (m + BLOCK - 1) // BLOCK, 0, 0
+    blocks, tiles = (m + BLOCK - 1) // BLOCK, 0
     rows = n + 5 * blocks
     plan.mark[:] = 0
     for k in range(blocks):
         begin, end = k * BLOCK, min(k * BLOCK + BLOCK, m)
         batches, taken, segments = choose_batches(body_a, body_b, n, begin, end, plan)
         phase = take_phase(body_a, body_b, n, begin, end, taken, plan)
-        if phase == COLOURS:
-            phase, alone = COLOURS + alone, alone + 1
         plan.phase[k], plan.first[k], plan.own[k] = phase, tiles, rows
         tiles, rows = place_contacts(begin, end, batches, tiles, plan), rows + segments
     plan.first[blocks], plan.own[blocks] = tiles, rows
@@ -223,16 +223,11 @@ def place_contacts(begin, end, batches, tile, plan):
 
 @njit(cache=True)
 def sort_phases(blocks, plan):
-    """Fill `order` by the phases of the blocks."""
+    """Fill `order`: blocks by their phases, those of a phase in the order of the list."""
     place = 0
-    while place < blocks:
-        # Phases without blocks are left out: those beyond the mask follow on whatever was found before them.
-        lowest = np.int64(2**62)
+    for phase in range(COLOURS + 1):
         for k in range(blocks):
-            if place == 0 or plan.phase[k] > plan.phase[plan.order[place - 1]]:
-                lowest = min(lowest, plan.phase[k])
-        for k in range(blocks):
-            if plan.phase[k] == lowest:
+            if plan.phase[k] == phase:
                 plan.order[place] = k
                 place += 1
 
