@@ -42,7 +42,8 @@ def start_quality(states: Iterable[State], start, *, sweeps: Sequence[int] = SWE
 
     Returns impulse_error ‖λ₀ − λ‖ / ‖λ‖; factor, s = λ₀·λ / λ₀·λ₀, the best for all; scaled_error ‖s λ₀ − λ‖ / ‖λ‖;
     correlation of λ₀ and λ, of the normals; velocity_error, the mean of `velocity_errors` without any of `sweeps`, and
-    velocity_error_k after k. Of a start that is zero everywhere, s and the correlation are 0.
+    velocity_error_k after k. Of a start that is zero everywhere, s and the correlation are 0. The velocity errors leave
+    out states whose ‖λ‖ is below a thousandth of the median: where v* is v⁻ but for rounding they mean nothing.
     """
     pairs, errors = [], []
     for state in states:
@@ -55,8 +56,9 @@ def start_quality(states: Iterable[State], start, *, sweeps: Sequence[int] = SWE
     quality = {name: float(np.linalg.norm(value) / np.linalg.norm(solved)) for name, value in off.items()}
     correlation = float(np.corrcoef(ours[0], solved[0])[0, 1]) if np.ptp(ours[0]) else 0.0
     quality |= {"factor": factor, "correlation": correlation}
-    finite = np.array(errors)[np.isfinite(errors).all(axis=1)].mean(axis=0).tolist()
-    return quality | {f"velocity_error_{k}" if k else "velocity_error": error for k, error in zip(sweeps, finite)}
+    sizes = np.array([np.linalg.norm(pair[1]) for pair in pairs])
+    means = np.array(errors)[sizes > 1e-3 * np.median(sizes)].mean(axis=0).tolist()
+    return quality | {f"velocity_error_{k}" if k else "velocity_error": error for k, error in zip(sweeps, means)}
 
 
 def held_out_errors(
