@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from deep_contact.state.scales import BOX2D, ContactScales
     from deep_contact.studies import starts as experiments
     from deep_contact.trade import load_trade, measure_trade
-    from deep_contact.trajectory import Trajectory, load_trajectory
+    from deep_contact.trajectory import Trajectory, film, load_trajectory
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)
 __all__ += ["__version__"]

@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from deep_contact.compiled import njit
-from deep_contact.state import State
+from deep_contact.state import Bodies, State
 from deep_contact.state.scales import mean
 
 
@@ -53,15 +55,20 @@ class SceneNumbers(NamedTuple):
 
 
 def scene_numbers(state: State) -> SceneNumbers:
-    """The numbers of a scene, from one look at its circles."""
-    world, bodies = state.world, state.bodies
+    """The numbers of a scene, from one look at its circles. What is fixed, or a segment, is none but for its speed."""
+    world, bodies, free = state.world, state.bodies, state.bodies
+    driven = [math.hypot(*velocity[end : end + 2]) for velocity in world.segment_velocities for end in (0, 2)]
+    if (fixed := bodies.is_fixed).any():
+        driven.append(float(np.hypot(*bodies.velocity[fixed].T).max()))
+        free = Bodies(*(values[~fixed] for values in bodies))
     (left, low, right, high), (g_x, g_y) = world.box, world.gravity
     gravity = math.hypot(g_x, g_y)
     up = (-g_x / gravity, -g_y / gravity) if gravity > 0.0 else (0.0, 0.0)
     speeds = [abs(speed) for speed in world.surface_speeds]
     *measured, fastest, squares, height, width = _measured(
-        bodies.position, bodies.velocity, bodies.mass, bodies.radius, up
+        free.position, free.velocity, free.mass, free.radius, up
     )
+    fastest = max(fastest, *driven, 0.0)
     return SceneNumbers(
         bodies.count, state.dt, gravity, world.friction, world.restitution, any(speeds), mean(bodies.radius), *measured,
         max(fastest, *speeds, 0.0) if world.friction > 0 else fastest, squares, height, width,

@@ -17,7 +17,7 @@ import numpy as np
 from deep_contact.parallel import cores, parallel_map
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
-from deep_contact.physics.engine import ContactSolution, Steps, contacts_of, step_input
+from deep_contact.physics.engine import ContactSolution, Steps, contacts_of, drive_of, step_input
 from deep_contact.physics.forces import SIDES
 from deep_contact.physics.load import has_new_load, load_of, with_a_past, with_new_load
 from deep_contact.physics.ready import ready
@@ -26,8 +26,8 @@ from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance
 from deep_contact.physics.step import DONE, LAST_SWEEPS, WORK, StepLog, make_log, of_whole_step, some_steps
 from deep_contact.physics.substeps import shift_flights
 from deep_contact.presets import Accuracy, Decision, MeasuredAccuracy, PresetWarning, decide
-from deep_contact.state import Bodies, Contacts, State, StateWithContacts, notebook, read_only
-from deep_contact.state.checks import check_types, checked_indices
+from deep_contact.state import Bodies, Contacts, State, StateWithContacts, World, notebook, read_only
+from deep_contact.state.checks import check_types, checked_indices, checked_push, warn_of_jumps
 from deep_contact.trajectory import Trajectory
 from deep_contact.validation import brief, expect, flag, integer, number, one_of, warn
 from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
@@ -50,6 +50,8 @@ class Simulation(NamedTuple):
     | recorded    | the recorded states as a `Trajectory`, the last being `state`; None where none were asked |
     | loads       | what walls and segments received until each recorded state, (T, 4 + S, 2), N·s, or None   |
     | solved      | what `on_step` sees of the steps that led to a recorded state, a `Trajectory`, or None    |
+    | on_circles  | what contacts gave to the circles until each recorded state, (T, n, 2), N·s; where a      |
+    |             | segment moves, a circle is fixed, or something pushes; None elsewhere                     |
 
     With substeps, contacts and θ are those of a step's last substep, sweeps and relaxations sums over all of them.
     """
@@ -63,6 +65,7 @@ class Simulation(NamedTuple):
     recorded: Trajectory | None = None
     loads: np.ndarray | None = None
     solved: Trajectory | None = None
+    on_circles: np.ndarray | None = None
 
     @property
     def trajectory(self) -> Trajectory:
@@ -76,8 +79,8 @@ class Simulation(NamedTuple):
 
         part: "floor", "right", "ceiling", "left", "segment" or "circle". index: of the segment or the circle; the force
         on several is their sum. The mean is over all steps and substeps, rebounds included. Of a circle it is what
-        changed its momentum, but for gravity (with e > 0, to half a step's fall of a circle that lands where motion
-        divides the step); walls and segments need a run with forces=True.
+        changed its momentum, but for gravity and pushes (with e > 0, to half a step's fall of a circle that lands where
+        motion divides the step); walls and segments need a run with forces=True.
         Raises ValueError where nothing was recorded, or what there is not.
         """
         recorded, world = self.trajectory, self.state.world
@@ -87,6 +90,8 @@ class Simulation(NamedTuple):
         count = {"wall": 4, "segment": len(world.segments), "circle": self.state.bodies.count}
         chosen = checked_indices("index", index, count[one_of("part", part, (*SIDES, "segment", "circle", "wall"))])
         seconds = np.diff(recorded.times)[:, None]
+        if part == "circle" and self.on_circles is not None:
+            return np.diff(self.on_circles[:, chosen].sum(axis=1), axis=0) / seconds
         if part == "circle":
             mass = self.state.bodies.mass[chosen]
             change = np.einsum("tik,i->tk", np.diff(recorded.velocities[:, chosen], axis=0), mass)
@@ -139,6 +144,8 @@ class Simulator:
     Raises ValueError on arguments that do not hold together.
     """
 
+    _has_warned = False  # of segments that jump
+
     def __init__(
         self,
         state: State,
@@ -147,8 +154,9 @@ class Simulator:
         accuracy: Accuracy | MeasuredAccuracy | None = None,
         warm_start: Start = "builtin",
         sleep: bool = False,
+        push=None,
     ):
-        self._how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep}
+        self._how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep, "push": push}
         self._steps: Steps | None = None
         self._go_on(*_prepared(state, **self._how))
 
@@ -178,29 +186,55 @@ class Simulator:
     def state(self) -> StateWithContacts:
         return self._state(np.copy)
 
-    def set(self, *, gravity=None, friction=None, restitution=None, dt=None, segments=None) -> None:
-        """Change the world, or the time step, s, from here on; what is None stays. Who sleeps wakes.
+    def set(
+        self, *, gravity=None, friction=None, restitution=None, dt=None, segments=None, segment_velocities=None,
+        push=None,
+    ) -> None:  # fmt: skip
+        """Change the world, the time step, s, or the push from here on; what is None stays. Who sleeps wakes.
 
-        Contacts keep their impulses, with segments by their numbers. Raises ValueError, and changes nothing, on values
-        that `World` refuses.
+        Contacts keep their impulses, with segments by their numbers. A segment that is put elsewhere jumps, and a
+        warning says so once; segment_velocities move it. push: as of `simulate`; forces of 0 end it. Raises ValueError,
+        and changes nothing, on values that `World` refuses.
         """
         fields = {"gravity": gravity, "friction": friction, "restitution": restitution, "segments": segments}
+        fields |= {"segment_velocities": segment_velocities}
         fields, state = {name: value for name, value in fields.items() if value is not None}, self.state
+        if segments is not None:  # velocities and surfaces of other segments do not fit these
+            for name in ("segment_velocities", "surface_speeds"):
+                kept = getattr(state.world, name)
+                fields.setdefault(name, kept if len(kept) == len(segments) else ())
         if fields:
             world, contacts = replace(state.world, **fields), state.contacts
             if segments is not None:
+                if not self._has_warned:
+                    self._has_warned = warn_of_jumps(state.world, world)
                 stays = contacts.body_b < state.bodies.count + 4 + len(world.segments)
                 contacts = Contacts(*(values[stays] for values in contacts))
-            state = state.replace(world=world, contacts=contacts)
-        self._change(state if dt is None else with_time_step(state, dt))
+            state = replace(state, world=world, contacts=contacts)
+        if push is not None:
+            self._change(state if dt is None else with_time_step(state, dt), push)
+        else:
+            self._change(state if dt is None else with_time_step(state, dt))
 
-    def add(self, bodies: Bodies) -> None:
-        """Add circles after the others (`State.with_bodies`). Who sleeps wakes."""
+    def add(self, bodies: Bodies) -> np.ndarray:
+        """Add circles after the others (`State.with_bodies`). Who sleeps wakes. Returns their indices.
+
+        Forces of a push that is no function are 0 on them.
+        """
+        first = self._scene.bodies.count
         self._change(self.state.with_bodies(add=bodies))
+        return np.arange(first, self._scene.bodies.count)
 
-    def remove(self, which: Sequence) -> None:
-        """Take circles away, by their indices or by a flag for each (`State.with_bodies`). Who sleeps wakes."""
-        self._change(self.state.with_bodies(remove=which))
+    def remove(self, which: Sequence) -> np.ndarray:
+        """Take circles away, by their indices or by a flag for each (`State.with_bodies`). Who sleeps wakes.
+
+        Returns the new index of each circle that there was, (n,); −1 for those that are gone.
+        """
+        n = self._scene.bodies.count
+        gone, index = checked_indices("remove", which, n), np.full(n, -1)
+        index[np.delete(np.arange(n), gone)] = np.arange(n - len(gone))
+        self._change(self.state.with_bodies(remove=gone))
+        return index
 
     def __reduce__(self):
         return _restored, (self.state, self._start, self._how)
@@ -208,8 +242,13 @@ class Simulator:
     def __repr__(self) -> str:
         return f"Simulator({self.state!r})"
 
-    def _change(self, state: State) -> None:
-        self._go_on(*_prepared(state, **self._how))
+    def _change(self, state: State, push=None) -> None:
+        """Go on from another state. push: a new one; None for the state's, or the function that there is."""
+        push = push if push is not None else self._how["push"] if callable(self._how["push"]) else state.push
+        how = self._how | {"push": push}
+        prepared = _prepared(state, **how)
+        self._how = how
+        self._go_on(*prepared)
 
     def _go_on(self, state: StateWithContacts, start: WarmStart) -> None:
         """Go on from a state that is ready, with its solver."""
@@ -231,7 +270,13 @@ class Simulator:
         self._may_lose_tangents = scene.world.friction == 0.0 and entry_of(solver).advance is None
         self._is_one_solve = replace(scene, solved=True).holds_solution
         self._origin = self._now = _Now(contacts, state.step, state.time, state.solved)
-        self._kept, self._log, self._work = tuple(map(np.copy, bodies[:4])), make_log(1), MOST_WORK // 8
+        if callable(self._how["push"]):
+            self._scene = scene = replace(scene, push=(np.zeros((n, 2)), np.zeros(n)))
+            self._inputs = step_input(scene, solver, scales)
+        self._moved = tuple(bodies[:4])  # what a step changes
+        if scene.world.segment_velocities:
+            self._moved += (self._inputs.segments.line,)
+        self._kept, self._log, self._work = tuple(map(np.copy, self._moved)), make_log(1), MOST_WORK // 8
         self._views = tuple(array.view() for array in bodies[:2])
         for view in self._views:
             view.flags.writeable = False
@@ -239,7 +284,7 @@ class Simulator:
 
     def _affordable(self) -> int:
         """So many steps may be done by a call: one where the start needs Python between two steps."""
-        if not isinstance(self._start, (Builtin, NoStart)):
+        if not isinstance(self._start, (Builtin, NoStart)) or callable(self._how["push"]):
             return 1
         return 1 + self._work // (10 * self._scene.bodies.count + 50)
 
@@ -258,14 +303,20 @@ class Simulator:
         """The state now, with arrays of which `taken` makes what the caller gets."""
         contacts, step, time, solved = self._now
         bodies = Bodies(*map(taken, self._scene.bodies))
-        contacts = Contacts(*map(np.copy, contacts))
-        state = replace(self._scene, bodies=bodies, contacts=contacts, step=step, time=time, solved=solved)
+        contacts, push = Contacts(*map(np.copy, contacts)), None if callable(self._how["push"]) else self._scene.push
+        scene = replace(self._scene, world=self._world(), push=push)
+        state = replace(scene, bodies=bodies, contacts=contacts, step=step, time=time, solved=solved)
         return replace(state, load=load_of(state))
+
+    def _world(self) -> World:
+        """The world with its segments where they are now."""
+        world = self._scene.world
+        return replace(world, segments=self._inputs.segments.line[:, :4]) if world.segment_velocities else world
 
     def _advance(self, log: StepLog, is_watched: bool = False) -> int:
         """Do up to as many steps as the log has rows, or none: after an error all is as before. Returns how many."""
-        before, bodies = self._now, self._scene.bodies
-        for kept, array in zip(self._kept, bodies):
+        before = self._now
+        for kept, array in zip(self._kept, self._moved):
             np.copyto(kept, array)
         impulses = before.contacts.normal_impulse.copy(), before.contacts.tangent_impulse.copy()
         still = self._steps.sleep and self._steps.sleep.still.copy()
@@ -273,7 +324,7 @@ class Simulator:
             return self._advance_from(before, log, is_watched)
         except BaseException:
             if self._now is before:
-                for kept, array in zip(self._kept, bodies):
+                for kept, array in zip(self._kept, self._moved):
                     np.copyto(array, kept)
                 names = "normal_impulse", "tangent_impulse"
                 contacts = before.contacts._replace(**dict(zip(names, impulses)))
@@ -285,18 +336,25 @@ class Simulator:
 
     def _advance_from(self, before: _Now, log: StepLog, is_watched: bool) -> int:
         contacts, problem, inputs, scene = before.contacts, None, self._inputs, self._scene
+        if callable(push := self._how["push"]):
+            scene = replace(scene, push=checked_push(push(read_only(self.state)), scene.bodies.count))
+            drive = inputs.drive._replace(force=scene.push[0], torque=scene.push[1])
+            inputs = self._inputs = inputs._replace(drive=drive)
         if is_watched:
             seen = replace(
                 scene,
+                world=self._world(),
                 bodies=Bodies(*map(np.copy, scene.bodies[:4]), *scene.bodies[4:]),
                 step=before.step,
                 time=before.time,
             )
         if not isinstance(self._start, (Builtin, NoStart)):
-            normal, tangent, problem = starting_impulses(self._start, self.state, scene.solver, self._scales)
+            state = replace(self.state, push=scene.push)
+            normal, tangent, problem = starting_impulses(self._start, state, scene.solver, self._scales)
             contacts = contacts._replace(normal_start=normal, tangent_start=tangent)
         if self._may_lose_tangents:
-            inputs = step_input(replace(scene, contacts=contacts), scene.solver, self._scales)
+            friction = step_input(replace(scene, contacts=contacts), scene.solver, self._scales).friction
+            inputs = inputs._replace(friction=friction)
         begun = time.perf_counter()
         following, received = self._steps(inputs, contacts, log, problem)
         if len(log.contacts) > 1:  # how a run is divided changes no bit of it
@@ -344,9 +402,11 @@ def _raise_diverged(bodies: Bodies, step: int) -> None:
     )
 
 
-def _prepared(state: State, solver, accuracy, warm_start, sleep) -> tuple[StateWithContacts, WarmStart]:
+def _prepared(state: State, solver, accuracy, warm_start, sleep, push) -> tuple[StateWithContacts, WarmStart]:
     """What a run begins with: the state, ready, with its solver and the impulses it starts from, and the start."""
     first, state = state, ready(state)
+    constant = None if push is None or callable(push) else checked_push(push, state.bodies.count)
+    state = replace(state, push=constant)
     without_past = first.contacts is None or state.step == 0
     solver, start, _, decision = method_of(state, solver, warm_start, accuracy, sleep=sleep)
     for sentence in decision.warnings if decision else ():
@@ -411,6 +471,7 @@ def simulate(
     warm_start: Start = "builtin",
     accuracy: Accuracy | MeasuredAccuracy | None = None,
     sleep: bool = False,
+    push=None,
     record: int | None = None,
     forces: bool = False,
     until: Callable[[StateWithContacts], object] | None = None,
@@ -429,6 +490,8 @@ def simulate(
     they rest, where there are any (`physics.relaxation`), or are solved well.
     sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
+    push: forces on the circles beside gravity, (n, 2), N, or a tuple of forces and torques, (n,), N·m; or a function of
+    the state that returns them, which is asked before each step. Fixed circles feel none.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
     forces: add up what walls and segments receive between the states that `record` keeps, for `Simulation.force_on`,
     and keep what `on_step` sees of the step that led to each, as `Simulation.solved`.
@@ -442,12 +505,13 @@ def simulate(
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
     all numbers; the run can be interrupted.
     """
-    return _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, forces, until, on_step)
+    return _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, forces, until, on_step, push)
 
 
 def _simulate(
-    state, steps, dt, solver, warm_start, accuracy, sleep, record, forces=False, until=None, on_step=None, stopped=None
-) -> Simulation:
+    state, steps, dt, solver, warm_start, accuracy, sleep, record, forces=False, until=None, on_step=None, push=None,
+    stopped=None,
+) -> Simulation:  # fmt: skip
     """`simulate`, which ends with a KeyboardInterrupt once the event `stopped` is set."""
     integer("steps", steps)
     if record is not None:
@@ -455,9 +519,11 @@ def _simulate(
     expect(not flag("forces", forces) or record is not None, "forces: expected False without record=…, got True")
     if dt is not None:
         state = with_time_step(state, dt)
-    run = Simulator(state, solver=solver, accuracy=accuracy, warm_start=warm_start, sleep=sleep)
-    every, log, done = record or steps + 1, make_log(steps, 4 + len(state.world.segments) if forces else 0), 0
+    run = Simulator(state, solver=solver, accuracy=accuracy, warm_start=warm_start, sleep=sleep, push=push)
+    is_driven, every, done = record is not None and run._inputs.drive is not None, record or steps + 1, 0
+    log = make_log(steps, 4 + len(state.world.segments) if forces else 0, state.bodies.count if is_driven else 0)
     frames, loads = [] if record is None else [run.state], [log.loads.copy()]
+    on_circles, work = [log.on_circles.copy()], [0.0]
     solved, is_over = [], False
     while done < steps and not is_over:
         if stopped is not None and stopped.is_set():
@@ -475,11 +541,14 @@ def _simulate(
         if record is not None and (done % every == 0 or done == steps or is_over):
             frames.append(run.state)
             loads.append(log.loads.copy())
+            on_circles.append(log.on_circles.copy())
+            work.append(float(log.work[0]))
             solved += run._seen[:1]
-    trajectories = (Trajectory.from_states(states) if states else None for states in (frames, solved))
-    recorded, solved = trajectories
+    recorded = Trajectory.from_states(frames, work=work if is_driven else None) if frames else None
+    of_steps = Trajectory.from_states(solved) if solved else None
     columns = (column[:done] for column in log[:5])
-    return Simulation(run._state(np.asarray), *columns, recorded, np.array(loads) if forces else None, solved)
+    sums = np.array(loads) if forces else None, of_steps, np.array(on_circles) if is_driven else None
+    return Simulation(run._state(np.asarray), *columns, recorded, *sums)
 
 
 def simulate_many(
@@ -550,7 +619,7 @@ def with_time_step(state: State, dt: float) -> State:
         contacts = contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
         if state.world.restitution > 0.0 and state.step > 0:
             state = state.replace(bodies=state.bodies._replace(velocity=state.bodies.velocity.copy()))
-            shift_flights(state.bodies, contacts, state.world.gravity, state.dt - dt)
+            shift_flights(state.bodies, contacts, state.world.gravity, state.dt - dt, drive_of(state))
     return state.replace(dt=dt, contacts=contacts)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.solvers import NNCG, PGS
 from deep_contact.scene_numbers import SceneNumbers, scene_numbers
-from deep_contact.state import State
+from deep_contact.state import Bodies, State
 from deep_contact.state.scales import FOLLOWS_SCENE
 
 MASS_RATIO = 100.0
@@ -106,6 +106,9 @@ def _load(scene: State) -> float:
     What lies above is counted in strips as wide as the largest circle; a circle takes the share of its width.
     """
     bodies, gravity = scene.bodies, np.asarray(scene.world.gravity, float)
+    if bodies.is_fixed.all():
+        return 0.0
+    bodies = Bodies(*(values[~bodies.is_fixed] for values in bodies))
     up = -gravity / math.hypot(*gravity)
     up, across = np.array([up, (up[1], -up[0])]) @ bodies.position.T
     widest = float(bodies.radius.max())

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deep_contact.state import notebook, read_only
-from deep_contact.validation import integer, number
+from deep_contact.validation import expect, integer, number
 
 if TYPE_CHECKING:
     from deep_contact.io.simulation_h5 import StoredSimulation
@@ -56,11 +56,15 @@ class Trajectory:
     """All that its file holds."""
 
     @classmethod
-    def from_states(cls, states: Iterable[State]) -> Trajectory:
-        """A run from its states, in the order of time, with contacts. Raises ValueError naming state and field."""
+    def from_states(cls, states: Iterable[State], *, work=None) -> Trajectory:
+        """A run from its states, in the order of time, with contacts.
+
+        work: what moving segments, fixed circles and pushes did until each, (T,), J, or None. Raises ValueError naming
+        state and field, also where the number of circles changes: `dc.film` shows such states.
+        """
         from deep_contact.io.simulation_h5 import pack_simulation
 
-        return cls(pack_simulation(states))
+        return cls(pack_simulation(states, work=work))
 
     def save(self, path) -> None:
         """Write the run to an HDF5 file, whole or not at all. Raises OSError where that cannot be written."""
@@ -100,22 +104,32 @@ class Trajectory:
 
     @property
     def energies(self) -> np.ndarray:
-        mass, radius = self.stored.arrays["mass"], self.stored.arrays["radius"]
+        mass, radius = self._free_mass, self.stored.arrays["radius"]
         linear, turning = (self.velocities**2).sum(axis=2) @ mass, self.spins**2 @ (0.5 * mass * radius**2)
         potential = -(self.positions @ np.array(self.world.gravity)) @ mass
         return np.column_stack([0.5 * (linear + turning), potential])
 
     @property
+    def _free_mass(self) -> np.ndarray:
+        mass = self.stored.arrays["mass"]
+        return np.where(np.isinf(mass), 0.0, mass)
+
+    @property
+    def work(self) -> np.ndarray:
+        """What moving segments, fixed circles and pushes did until each state, (T,), J; 0 in a run without such."""
+        return self.stored.arrays.get("work", np.zeros(len(self)))
+
+    @property
     def dissipated(self) -> np.ndarray:
         """The energy that contacts took from the circles between each state and the next, (T − 1,), J.
 
-        What belts and position correction gave is negative. Velocities are those half a substep before the positions
-        (symplectic Euler is a leapfrog), so that free flight dissipates nothing.
+        It is work less the change of energy. What belts and position correction gave is negative. Velocities are those
+        half a substep before the positions (symplectic Euler is a leapfrog), so that free flight dissipates nothing.
         """
-        header, arrays = self.stored.header, self.stored.arrays
+        header = self.stored.header
         half = 0.5 * header["dt"] / getattr(header["solver"], "substeps", 1)
-        late = half * (self.velocities @ np.array(self.world.gravity)) @ arrays["mass"]
-        return -np.diff(self.energies.sum(axis=1) + late)
+        late = half * (self.velocities @ np.array(self.world.gravity)) @ self._free_mass
+        return np.diff(self.work - self.energies.sum(axis=1) - late)
 
     def film(self, path, *, fps: float = 25, size: int = 640, every: int = 1) -> Path:
         """Write a film of the circles, coloured by speed, and of their impulses. Returns its path.
@@ -131,6 +145,22 @@ class Trajectory:
         canvas = Canvas(self.world, size=integer("size", size, least=32), fastest=fastest, strongest=strongest)
         shown = range(0, len(self), integer("every", every, 1))
         return write_film(path, (canvas(self[i]) for i in shown), number("fps", fps, above=0))
+
+
+def film(states: Iterable[State], path, *, fps: float = 25, size: int = 640) -> Path:
+    """Write a film of states, which may have any number of circles and segments anywhere, in the box of the first.
+
+    Arguments, result and errors as of `Trajectory.film`. Raises ValueError without states.
+    """
+    from deep_contact.reporting.film import Canvas, write_film
+
+    states = list(states)
+    expect(states, "states: expected at least one state, got none")
+    fastest = max(float(np.hypot(*state.bodies.velocity.T).max(initial=0.0)) for state in states)
+    impulses = [0.0 if state.contacts is None else state.contacts.normal_impulse.max(initial=0.0) for state in states]
+    size = integer("size", size, least=32)
+    canvas = Canvas(states[0].world, size=size, fastest=fastest, strongest=float(max(impulses)))
+    return write_film(path, map(canvas, states), number("fps", fps, above=0))
 
 
 def load_trajectory(path) -> Trajectory:

@@ -2,8 +2,9 @@
 
 One file a simulation, `<folder>/sim_0000.h5`, holds every solved state exactly (float64), so that any image can be made
 of it later, for any grid, kernel and set of channels. data/README.md has the meaning of its attributes and arrays
-(`_ARRAYS`); beside those a file has the attributes scales (8,), the fields of `ContactScales`, segments (4 S,) and
-surface_speeds (S,), where the world has any.
+(`_ARRAYS`); beside those a file has the attributes scales (8,), the fields of `ContactScales`, segments (4 S,),
+surface_speeds (S,) and segment_velocities (4 S,), where the world has any. Where segments move it has their places in
+each state, and where work was done that.
 
 `digest` is the SHA-256 of the attributes and the unpacked arrays in a fixed order, the same for every compression; it
 is checked on reading. Every fault of a file is a `DataFileError`.
@@ -16,7 +17,7 @@ import io
 import json
 import math
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -63,10 +64,13 @@ _ARRAYS = {
 }
 """Name -> type in the file, and its dimensions: T states, E = T + 1, n circles, M contacts in all, 2 for x and y."""
 
+_RARE = {"segment": ("<f8", "TS4"), "work": ("<f8", "T")}
+"""Arrays that not every file has, likewise: of S segments that move; J until each state."""
+
 _BODIES, _CONTACTS = tuple(_ARRAYS)[8:12], tuple(_ARRAYS)[12:]
 _TEXTS = ("format", "name", "solver", "seed", "options", "digest")
 _WORLD = ("box", "gravity", "friction", "restitution")
-_OPTIONAL = ("scales", "segments", "surface_speeds")
+_OPTIONAL = ("scales", "segments", "surface_speeds", "segment_velocities")
 _NUMBERS = {"version": "<i8"} | dict.fromkeys(("dt", *_WORLD, *_OPTIONAL), "<f8")
 
 _SHARED = ("name", "world", "dt", "solver")
@@ -110,8 +114,11 @@ class StoredSimulation:
         if not 0 <= index < self.count:
             raise IndexError(f"index: expected one from 0 to {self.count - 1}, got {index}")
         a, of_contacts = self.arrays, slice(*self.arrays["contact_offset"][index : index + 2])
+        shared = {name: self.header[name] for name in _SHARED}
+        if "segment" in a:
+            shared["world"] = replace(shared["world"], segments=a["segment"][index])
         return State(
-            **{name: self.header[name] for name in _SHARED},
+            **shared,
             bodies=Bodies(*(a[name][index].copy() for name in _BODIES), a["mass"].copy(), a["radius"].copy()),
             contacts=Contacts(*(a[name][of_contacts].copy() for name in _CONTACTS)),
             time=float(a["time"][index]),
@@ -120,11 +127,14 @@ class StoredSimulation:
         )
 
 
-def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=None, options=None) -> StoredSimulation:
+def pack_simulation(
+    states: Iterable[State], *, sweeps=None, theta=None, work=None, seed=None, options=None
+) -> StoredSimulation:
     """States of one simulation as arrays.
 
-    states: all of one name, world, dt, solver and the same circles, with contacts. sweeps, theta: of each state, (T,);
-    -1 and NaN where None. seed, options: what made the simulation, anything that JSON holds.
+    states: all of one name, world, dt, solver and the same circles, with contacts; segments may have moved. sweeps,
+    theta: of each state, (T,); -1 and NaN where None. work: until each, (T,), J, or None. seed, options: what made the
+    simulation, anything that JSON holds.
     Raises ValueError naming the state and the field.
     """
     states = [check_state(state) for state in states]
@@ -134,8 +144,13 @@ def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=No
         expect(state.contacts is not None, f"states[{i}].contacts: expected contacts, got None")
         for name in _SHARED:
             expected, got = getattr(first, name), getattr(state, name)
+            if name == "world" and got.segment_velocities and len(got.segments) == len(expected.segments):
+                got = replace(got, segments=expected.segments)
             if got != expected:
                 raise ValueError(f"states[{i}].{name}: expected that of the first state, {expected!r}, got {got!r}")
+        n, circles = first.bodies.count, state.bodies.count
+        expected = f"the {n} circles of the first state, as a trajectory has them (dc.film shows any states)"
+        expect(circles == n, f"states[{i}].bodies: expected {expected}, got {circles}")
         for name in ("mass", "radius"):
             same = np.array_equal(getattr(state.bodies, name), getattr(first.bodies, name))
             expect(same, f"states[{i}].bodies.{name}: expected that of the first state, got another")
@@ -154,6 +169,10 @@ def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=No
         **{name: np.stack([getattr(s.bodies, name) for s in states]) for name in _BODIES},
         **{name: np.concatenate(parts) for name, parts in zip(_CONTACTS, zip(*(s.contacts for s in states)))},
     }
+    if first.world.segment_velocities:
+        arrays["segment"] = np.array([s.world.segments for s in states])
+    if work is not None:
+        arrays["work"] = _per_state("work", work, len(states), np.float64, 0.0)
     header = {name: getattr(first, name) for name in _SHARED} | {"dt": float(first.dt)}
     header |= {"seed": _json_value("seed", seed), "options": _json_value("options", {} if options is None else options)}
     return StoredSimulation(header=header, arrays=arrays)
@@ -191,7 +210,7 @@ def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> byte
                 options = {"chunks": (min(rows, array.shape[0]), *array.shape[1:]), "shuffle": True}
                 options |= {"compression": compression, "compression_opts": 1 if compression == "gzip" else None}
             # Flushed now: what holds it open for a moment, as profilers do, would put its bytes behind the next one's.
-            file.create_dataset(name, data=array.astype(_ARRAYS[name][0]), **options).flush()
+            file.create_dataset(name, data=array.astype((_ARRAYS | _RARE)[name][0]), **options).flush()
     return buffer.getvalue()
 
 
@@ -259,6 +278,7 @@ def _attributes(header: dict) -> dict:
     settings = None if solver is None else {"method": type(solver).__name__, **asdict(solver)}
     optional = {"scales": tuple(world.scales or ()), "segments": tuple(np.ravel(world.segments).tolist())}
     optional["surface_speeds"] = world.surface_speeds
+    optional["segment_velocities"] = tuple(np.ravel(world.segment_velocities).tolist())
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -274,7 +294,7 @@ def _attributes(header: dict) -> dict:
 def _digest(attributes: dict, arrays: dict) -> str:
     sha = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
     for name in sorted(arrays):
-        stored = np.ascontiguousarray(arrays[name].astype(_ARRAYS[name][0], copy=False))
+        stored = np.ascontiguousarray(arrays[name].astype((_ARRAYS | _RARE)[name][0], copy=False))
         sha.update(f"\n{name} {stored.dtype.str} {stored.shape}\n".encode())
         sha.update(stored)
     return sha.hexdigest()
@@ -306,8 +326,10 @@ def _header(attributes: dict) -> dict:
         expect(np.size(scales) == count, f"scales: expected {count}, got {np.size(scales)}")
         world["scales"] = ContactScales._make(scales)
     expect(np.size(segments) % 4 == 0, f"segments: expected 4 numbers each, got {np.size(segments)} in all")
-    segments = np.reshape(segments, (-1, 4)).tolist()
-    header["world"] = World(**world, segments=segments, surface_speeds=attributes.get("surface_speeds", ()))
+    segments, velocities = np.reshape(segments, (-1, 4)).tolist(), attributes.get("segment_velocities", ())
+    velocities = np.reshape(velocities, (-1, 4)) if np.size(velocities) % 4 == 0 else velocities
+    speeds = attributes.get("surface_speeds", ())
+    header["world"] = World(**world, segments=segments, surface_speeds=speeds, segment_velocities=velocities)
     for name in ("solver", "seed", "options"):
         try:
             header[name] = json.loads(attributes[name])
@@ -322,13 +344,15 @@ def _header(attributes: dict) -> dict:
 
 def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
     """The arrays of a file, whose types and shapes fit each other, before any is read."""
-    strange = sorted(set(file) ^ set(_ARRAYS))
+    known = _ARRAYS | {name: kind for name, kind in _RARE.items() if name in file}
+    strange = sorted(set(file) ^ set(known))
     expect(not strange, f"arrays: expected {', '.join(sorted(_ARRAYS))}, missing or unknown: {strange}")
-    datasets = {name: hdf5.dataset(file, name) for name in _ARRAYS}
+    datasets = {name: hdf5.dataset(file, name) for name in known}
     count, n, m = ((*(datasets[name].shape or ()), 0)[0] for name in ("step", "mass", "body_a"))
     expect(count, "step: expected at least one state, got none")
-    sizes = {"T": count, "E": count + 1, "n": n, "M": m, "2": 2}
-    for name, (dtype, dimensions) in _ARRAYS.items():
+    segments = np.size(file.attrs.get("segment_velocities", ())) // 4
+    sizes = {"T": count, "E": count + 1, "n": n, "M": m, "2": 2, "4": 4, "S": segments}
+    for name, (dtype, dimensions) in known.items():
         array, shape = datasets[name], tuple(sizes[letter] for letter in dimensions)
         expect(array.dtype.str == dtype, f"{name}: expected numbers of type {dtype}, got {array.dtype.str}")
         expect(array.shape == shape, f"{name}: expected shape {shape}, got {array.shape}")
@@ -343,7 +367,7 @@ def _check_arrays(arrays: dict, segments: int) -> None:
 
     for name, array in arrays.items():
         if array.dtype.kind == "f" and name != "theta":
-            refuse(name, ~np.isfinite(array), "a finite number")
+            refuse(name, ~(np.isfinite(array) | ((name == "mass") & (array == np.inf))), "a finite number")
     offset, n, a, b = arrays["contact_offset"], arrays["mass"].size, arrays["body_a"], arrays["body_b"]
     end, steps = n + 4 + segments, np.diff(offset, prepend=0)
     refuse("mass", arrays["mass"] <= 0, "a number > 0")

@@ -32,9 +32,10 @@ _INERTIA_TOLERANCE = 1e-3
 _SETTINGS = ("step", "gravity_x", "gravity_y", "friction", "restitution", "solved")
 _PARTS = ("solver", "scales", "bodies", "segments", "contacts")
 _ENDS = ("x_0", "y_0", "x_1", "y_1")
+_VELOCITIES = ("v_x_0", "v_y_0", "v_x_1", "v_y_1")
 
 _CORNERS = '<shape value="box">\n' + 4 * '        <corner x="%r" y="%r"/>\n' + "      </shape>"
-_BODY_TEXT = xml_tree.text_of('body index="%d" type="free"', BODY, '<shape value="circle" radius="%r"/>')
+_BODY_TEXT = xml_tree.text_of('body index="%d" type="%s"', BODY, '<shape value="circle" radius="%r"/>')
 _BOX_TEXT = xml_tree.text_of('body index="%d" type="fixed"', BODY, _CORNERS)
 _SEGMENT_TEXT = '    <segment index="%d" x_0="%r" y_0="%r" x_1="%r" y_1="%r"%s/>\n'
 _CONTACT_TEXT = xml_tree.text_of('contact index="%d" master="%d" slave="%d" separation="%r"', CONTACT)
@@ -107,7 +108,7 @@ def _read_tree(root, source: str) -> State:
         modernise(root, source)
     parts = xml_tree.children(root, _PARTS)
     settings, world = _read_settings(root, parts)
-    circles, box_body, rank = _number_bodies(xml_tree.elements_of(parts.get("bodies"), "body"))
+    circles, box_body, rank = _number_bodies(xml_tree.elements_of(parts.get("bodies"), "body"), is_old)
     world |= _read_segments(xml_tree.elements_of(parts.get("segments"), "segment"), rank)
     bodies = _read_bodies(Rows(circles, {*BODY, "shape"}))
     box = _read_box(root, box_body, bodies, is_old)
@@ -162,28 +163,35 @@ def _option_value(text: str):
 
 def _read_segments(elements, rank: dict) -> dict:
     """Segments and speeds of a world, by index; the indices are added to `rank`, behind circles and box."""
-    segments, speeds, start = [], [], len(rank)
+    segments, speeds, velocities, start = [], [], [], len(rank)
     for index, segment in sorted(xml_tree.by_index(elements).items()):
-        xml_tree.refuse_attributes(segment, {"index", *_ENDS, "speed"})
+        xml_tree.refuse_attributes(segment, {"index", *_ENDS, "speed", *_VELOCITIES})
         expect(index not in rank, segment, "index: expected each once, got that of a body,", str(index))
         rank[index] = start + len(segments)
         segments.append([read_number(segment, name) for name in _ENDS])
         speeds.append(read_number(segment, "speed") if "speed" in segment.attrib else 0.0)
-    return {"segments": segments, "surface_speeds": speeds}
+        is_moving = any(name in segment.attrib for name in _VELOCITIES)
+        velocities.append([read_number(segment, name) if is_moving else 0.0 for name in _VELOCITIES])
+    return {"segments": segments, "surface_speeds": speeds, "segment_velocities": velocities}
 
 
 # ---- reading: bodies ----
 
 
-def _number_bodies(bodies):
-    """Circles in the order of their indices, the fixed body or None, {index in the file: index in memory}."""
+def _number_bodies(bodies, is_old: bool):
+    """Circles in the order of their indices, the box or None, {index in the file: index in memory}.
+
+    A fixed body is the box, unless its shape is a circle. is_old: of an old file, whose fixed body is the box always.
+    """
     free, fixed = {}, {}
     for index, body in sorted(xml_tree.by_index(bodies).items()):
         xml_tree.refuse_attributes(body, {"index", "type"})
         kind = read_text(body, "type")
         expect(kind in ("free", "fixed"), body, "type: expected free or fixed", kind)
-        expect(kind == "free" or not fixed, body, "expected one fixed body, the box, got a second")
-        (free if kind == "free" else fixed)[index] = body
+        shape = None if is_old else body.find("shape")
+        is_circle = kind == "free" or (shape is not None and shape.get("value") == "circle")
+        expect(is_circle or not fixed, body, "expected one fixed body, the box, got a second")
+        (free if is_circle else fixed)[index] = body
     for index, following in itertools.pairwise(free):
         near = following == index + 1 or (following == index + 2 and index + 1 in fixed)
         expect(near, free[following], f"index: expected no gap, there is no {index + 1}", str(following))
@@ -193,7 +201,9 @@ def _number_bodies(bodies):
 
 def _read_bodies(rows: Rows) -> Bodies:
     mass, radius = rows.numbers("mass", "value"), rows.numbers("shape", "radius")
-    rows.refuse(mass <= 0, "mass", "value", "a mass > 0")
+    is_fixed = np.array([element.get("type") == "fixed" for element in rows.elements], bool)
+    rows.refuse((mass <= 0) & ~is_fixed, "mass", "value", "a mass > 0")
+    mass[is_fixed] = math.inf  # as of the box, which has one of 0 in files
     rows.refuse(np.array([text != "circle" for text in rows.texts("shape", "value")]), "shape", "value", "circle")
     rows.refuse(radius <= 0, "shape", "radius", "a number > 0")
     motion = [rows.numbers(tag, BODY[tag]) for tag in ("position", "velocity", "orientation", "spin")]
@@ -203,7 +213,7 @@ def _read_bodies(rows: Rows) -> Bodies:
     inertia = np.array([math.inf if text == "inf" else xml_tree.to_float(text) for text in texts])
     with np.errstate(all="ignore"):
         disc = bodies.inertia
-        wrong = ~np.isclose(inertia, disc, rtol=_INERTIA_TOLERANCE, atol=0.0)
+        wrong = ~np.isclose(inertia, disc, rtol=_INERTIA_TOLERANCE, atol=0.0) & ~is_fixed
     for expected in disc[wrong][:1].tolist():
         rows.refuse(wrong, "inertia", "value", f"m r²/2 = {expected!r} (only solid discs are modelled)")
     return bodies
@@ -328,16 +338,20 @@ def _attributes(numbers: dict) -> str:
 
 
 def _format_bodies(bodies: Bodies, box) -> str:
+    bodies = bodies._replace(mass=bodies.free_mass)
     with np.errstate(over="ignore", under="ignore"):
         inertia = bodies.inertia
     position, velocity, angle, spin, mass, radius = bodies
-    columns = range(bodies.count), mass, *position.T, *velocity.T, angle, inertia, spin, radius
+    kinds = np.where(mass > 0, "free", "fixed")
+    columns = range(bodies.count), kinds, mass, *position.T, *velocity.T, angle, inertia, spin, radius
     box_body = _BOX_TEXT % (bodies.count, *(0.0,) * 8, *itertools.chain(*_corners(box)))
     return f"  <bodies>\n{xml_tree.fill(_BODY_TEXT, bodies.count, columns)}{box_body}  </bodies>\n"
 
 
 def _format_segments(world: World, n: int) -> str:
     speeds = [f' speed="{v!r}"' if v else "" for v in world.surface_speeds] or [""] * len(world.segments)
+    moves = [_attributes(dict(zip(_VELOCITIES, v))) if any(v) else "" for v in world.segment_velocities]
+    speeds = [a + b for a, b in zip(speeds, moves)] if moves else speeds
     both = enumerate(zip(world.segments, speeds), n + 1)
     lines = "".join(_SEGMENT_TEXT % (index, *segment, speed) for index, (segment, speed) in both)
     return f"  <segments>\n{lines}  </segments>\n" if lines else ""

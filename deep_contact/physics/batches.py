@@ -48,9 +48,11 @@ from deep_contact.physics.contact_solver import (
     TANGENT,
     TANGENT_MASS,
     V_S,
+    V_X,
+    V_Y,
 )
 from deep_contact.physics.position_correction import IDLE, fill_ground
-from deep_contact.physics.segments import surface_velocity
+from deep_contact.physics.segments import surface_velocity, wall_velocity
 
 BLOCK = 1024
 """Contacts coloured together: smaller blocks fill fewer tiles, larger ones leave the nearest cache."""
@@ -249,7 +251,7 @@ def contacts_of_block(plan, k):
 
 
 @njit(cache=True, error_model="numpy")
-def place_block(step, contacts, plan, tiles, k, rows, is_built):
+def place_block(step, contacts, plan, tiles, k, rows, is_built, drive):
     """Write the bodies of a block's contacts, and the impulses that they start from, to their places.
 
     Of walls and segments also what `fill_rows` does not know. step: `StepInput`. rows: `Rows`, if built.
@@ -261,7 +263,7 @@ def place_block(step, contacts, plan, tiles, k, rows, is_built):
     share, eight = 1.0 / step.parts, np.uint64(WIDTH)
     fill_ground(step.box, step.scales, tiles.centre[ground : ground + 5])
     if plan.own[k + 1] > plan.own[k]:
-        place_segments(step, contacts, plan, tiles, k)
+        place_segments(step, contacts, plan, tiles, k, drive)
     own = np.uint32(plan.own[k])
     for i in range(begin, end):
         t, j = np.uint64(place[i]) // eight, np.uint64(place[i]) % eight
@@ -281,7 +283,16 @@ def place_block(step, contacts, plan, tiles, k, rows, is_built):
 
 
 @njit(cache=True)
-def place_segments(step, contacts, plan, tiles, k):
+def move_points(plan, tiles, dt):
+    """Let the points that contacts touch on segments go on with these for Δt, in place."""
+    v, centre = tiles.solver_bodies, tiles.centre
+    for row in range(plan.own[0], plan.count[ROWS]):
+        centre[row, 0] += dt * v[row, V_X]
+        centre[row, 1] += dt * v[row, V_Y]
+
+
+@njit(cache=True)
+def place_segments(step, contacts, plan, tiles, k, drive):
     """Write the points that a block's contacts touch on segments, each as a wall of its own (`fill_ground`)."""
     n, row, (begin, end), skin = plan.count[CIRCLES], plan.own[k], contacts_of_block(plan, k), step.scales.wall_skin
     centre, solver_bodies, place = tiles.centre, tiles.solver_bodies, plan.place
@@ -296,6 +307,9 @@ def place_segments(step, contacts, plan, tiles, k):
             centre[row, 2], centre[row, 3] = skin, 0.0
             solver_bodies[row, :] = 0.0
             solver_bodies[row, V_S] = 1.0  # see `contact_solver.move_surfaces`
+            if drive is not None:
+                x, y = contacts.position[i, 0], contacts.position[i, 1]
+                solver_bodies[row, V_X], solver_bodies[row, V_Y] = wall_velocity(line, drive.wall, s, x, y)
             tiles.data[place[i] // WIDTH, ARM_B, place[i] % WIDTH] = surface_velocity(line[s], n_x, n_y)
             row += 1
 
@@ -330,8 +344,8 @@ def fill_rows(tiles, first, last):
         turning = times(times(arm_a, arm_a), w_a) + times(times(arm_b, arm_b), w_b)
         store(data, row + N_X, where_less(none, m_b, n_x, written_x))
         store(data, row + N_Y, where_less(none, m_b, n_y, written_y))
-        store(data, row + NORMAL_MASS, where_less(none, w_a, one / both, none))
-        store(data, row + TANGENT_MASS, where_less(none, w_a, one / (both + (turning + turning)), none))
+        store(data, row + NORMAL_MASS, where_less(none, both, one / both, none))
+        store(data, row + TANGENT_MASS, where_less(none, both, one / (both + (turning + turning)), none))
         store(data, row + ARM_A, arm_a)
         store(data, row + ARM_B, arm_b)
     return any_less(nearest, none)

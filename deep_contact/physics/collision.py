@@ -12,7 +12,7 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.constants import NEARLY
-from deep_contact.physics.segments import hold_beside, insert_pairs, may_cross, segment_gap
+from deep_contact.physics.segments import hold_beside, hold_beside_moving, insert_pairs, may_cross, segment_gap
 from deep_contact.state import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
 
 SMALLEST_DISTANCE = 5e-13
@@ -408,18 +408,19 @@ def _sort_run(values, start, stop):
 
 
 @njit(cache=True, error_model="numpy")
-def find_contacts(position, radius, box, segments, skin, cells, buffer):
+def find_contacts(position, radius, mass, box, segments, skin, cells, buffer):
     """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
 
-    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple. segments: `Segments`.
-    skin: of walls and segments, m. cells, buffer: memory to use. Returns views of the buffer, or of a larger one.
+    position: (n, 2), m. radius: (n,), m. mass: (n,), kg; None where no circle is fixed. box: (x_min, y_min, x_max,
+    y_max), m, a tuple. segments: `Segments`. skin: of walls and segments, m. cells, buffer: memory to use.
+    Returns views of the buffer, or of a larger one.
     """
     refresh_list(position, radius, cells, 0.0)
-    return contacts_at(position, radius, box, segments, skin, cells, buffer, 0)
+    return contacts_at(position, radius, mass, box, segments, skin, cells, buffer, 0)
 
 
 @njit(inline="always")
-def contacts_at(position, radius, box, segments, skin, cells, buffer, least):
+def contacts_at(position, radius, mass, box, segments, skin, cells, buffer, least):
     """`find_contacts` after `refresh_list` at these positions. least: see `write_geometry`."""
     while True:
         m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
@@ -430,9 +431,25 @@ def contacts_at(position, radius, box, segments, skin, cells, buffer, least):
             break
         # Only a heap of overlapping circles has so many pairs.
         buffer = more_contacts(2 * buffer.body_a.shape[0] + 64)
-    contacts = some_contacts(buffer, 0, m)
+    contacts = some_contacts(buffer, 0, without_fixed(buffer.body_a, buffer.body_b, mass, m))
     write_geometry(position, radius, box, segments, skin, contacts, least)
     return contacts
+
+
+@njit(cache=True)
+def without_fixed(body_a, body_b, mass, m):
+    """Drop the pairs of bodies that do not yield from the first m, in place. Returns the number of those that stay.
+
+    mass: None where no circle is fixed.
+    """
+    if mass is None:
+        return m
+    n, kept = mass.shape[0], 0
+    for i in range(m):
+        if mass[body_a[i]] < math.inf or (body_b[i] < n and mass[body_b[i]] < math.inf):
+            body_a[kept], body_b[kept] = body_a[i], body_b[i]
+            kept += 1
+    return kept
 
 
 @njit(cache=True, error_model="numpy")
@@ -546,30 +563,41 @@ def hold_inside(bodies, box, skin, solved):
     for i in range(n):
         for wall in range(4):
             gap = wall_gap(bodies.position[i, 0], bodies.position[i, 1], box, wall)
-            if gap < 0.0 and not was_outside[i, wall]:
+            if gap < 0.0 and not was_outside[i, wall] and bodies.mass[i] < math.inf:
                 back = gap - 0.5 * bodies.radius[i]
                 bodies.position[i, 0] += back * WALL_NORMALS[wall, 0]
                 bodies.position[i, 1] += back * WALL_NORMALS[wall, 1]
 
 
 @njit(cache=True)
-def hold(bodies, before, box, segments, skin, solved):
-    """`hold_inside` and `hold_beside`, where they are needed."""
+def hold(bodies, before, box, segments, skin, solved, drive, dt):
+    """`hold_inside` and `hold_beside`, where they are needed. drive: of a step of dt, s, in which segments moved."""
     if any_outside(bodies.position, box):
         hold_inside(bodies, box, skin, solved)
     if segments is not None:
         if segments.line.shape[0] > 0 and may_cross(bodies, before, solved):
-            hold_beside(bodies, before, segments)
+            hold_beside(bodies, before, segments, drive)
+    if drive is not None:
+        hold_beside_moving(bodies, before, segments, drive, dt)
+
+
+@njit(cache=True)
+def mass_if_fixed(bodies, drive):
+    """The masses where circles may be fixed: in a scene with a drive; None elsewhere."""
+    if drive is None:
+        return None
+    return bodies.mass
 
 
 @njit(inline="always")
-def next_contacts(bodies, before, box, segments, skin, cells, solved, warm, buffer):
+def next_contacts(bodies, before, box, segments, skin, cells, solved, warm, buffer, drive, dt):
     """Contacts of the step after the one that `solved` those given, found where the bodies are now.
 
     before: where they were, (n, 2), m; read only where there are segments (`positions_before`). warm: with the impulses
-    that their pairs had solved; otherwise without. Returns the contacts: `find_contacts`.
+    that their pairs had solved; otherwise without. drive, dt: see `hold`. Returns the contacts: `find_contacts`.
     """
-    hold(bodies, before, box, segments, skin, solved)
-    contacts = find_contacts(bodies.position, bodies.radius, box, segments, skin, cells, buffer)
+    hold(bodies, before, box, segments, skin, solved, drive, dt)
+    mass = mass_if_fixed(bodies, drive)
+    contacts = find_contacts(bodies.position, bodies.radius, mass, box, segments, skin, cells, buffer)
     carry_impulses(solved, contacts, warm)
     return contacts

@@ -25,14 +25,15 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.constants import MAX_ROTATION
 from deep_contact.physics.continuous import FAST, moved, stop_fast
-from deep_contact.physics.segments import surface_velocity
+from deep_contact.physics.segments import has_moving, moves, surface_velocity, wall_velocity
 from deep_contact.state.scales import FASTEST
 
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
 """Columns of the solver bodies, (n + 4, 4): velocity of the centre, s = ω r (m/s each), 1 / m (1/kg).
 
 The last four rows are the walls: at rest, with an inverse mass of 0. Segments share the last one, whose s is 1 where
-surfaces move: with the speed of its surface as the arm of a contact, a segment drags (`move_surfaces`).
+surfaces move: with the speed of its surface as the arm of a contact, a segment drags (`move_surfaces`). Behind them,
+each contact with a segment that moves has a row of its own, with the velocity of the segment there (`move_walls`).
 """
 
 BODY_A, BODY_B = range(2)
@@ -71,8 +72,11 @@ more_rows = njit(cache=True)(make_rows)
 
 
 @njit(cache=True, error_model="numpy")
-def integrate_velocities(bodies, gravity, dt, solver_bodies):
-    """Fill the solver bodies, (n + 4, 4), with the velocities after Δt of gravity (v + Δt M⁻¹ F of Eq 2.27)."""
+def integrate_velocities(bodies, gravity, dt, solver_bodies, drive):
+    """Fill the solver bodies, (n + 4, 4), with the velocities after Δt of gravity (v + Δt M⁻¹ F of Eq 2.27).
+
+    drive: of the step, whose pushes act as well.
+    """
     n = bodies.mass.shape[0]
     for i in range(n):
         solver_bodies[i, V_X] = bodies.velocity[i, 0] + dt * gravity[0]
@@ -80,15 +84,33 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies):
         solver_bodies[i, V_S] = bodies.spin[i] * bodies.radius[i]
         solver_bodies[i, INVERSE_MASS] = 1.0 / bodies.mass[i]
     solver_bodies[n:] = 0.0
+    if drive is not None:
+        for i in range(n):
+            w = solver_bodies[i, INVERSE_MASS]
+            if w == 0.0:
+                solver_bodies[i, V_X], solver_bodies[i, V_Y] = bodies.velocity[i, 0], bodies.velocity[i, 1]
+            solver_bodies[i, V_X] += dt * (w * drive.force[i, 0])
+            solver_bodies[i, V_Y] += dt * (w * drive.force[i, 1])
+            solver_bodies[i, V_S] += dt * (2.0 * w * drive.torque[i] / bodies.radius[i])
+
+
+@njit(cache=True)
+def room_for_walls(solver_bodies, contacts, n, drive):
+    """Solver bodies with a row for each contact with a segment that moves: these, or new ones if they are too few."""
+    more = 0
+    for i in range(contacts.body_b.shape[0]):
+        s = contacts.body_b[i] - n - 4
+        more += s >= 0 and moves(drive.wall, s)
+    return solver_bodies if more == 0 else np.empty((n + 4 + more, 4))
 
 
 @njit(cache=True, error_model="numpy")
-def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, share):
+def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, share, drive):
     """Rows of the contacts with a share of their starting impulses: views of the buffer, or of new memory if too small.
 
-    Effective masses: 1 / (J M⁻¹ Jᵀ). radius: (n,), m. segments: `Segments`.
+    Effective masses: 1 / (J M⁻¹ Jᵀ). radius: (n,), m. segments: `Segments`. drive: of the step.
     """
-    v, m, last = solver_bodies, contacts.body_a.shape[0], solver_bodies.shape[0] - 1
+    v, m, last = solver_bodies, contacts.body_a.shape[0], radius.shape[0] + 3
     if m > buffer.body.shape[0]:
         buffer = more_rows(m, friction)
     rows = Rows(buffer.body[:m], buffer.data[:m], buffer.impulse[:m])
@@ -107,7 +129,9 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, sh
             rows.impulse[i, TANGENT] = share * contacts.tangent_start[i]
     if friction is not None:
         if segments is not None:
-            move_surfaces(contacts, segments, solver_bodies, rows)
+            move_surfaces(contacts, segments, solver_bodies, rows, last)
+    if drive is not None:
+        move_walls(contacts, segments, drive, solver_bodies, rows, last)
     return rows
 
 
@@ -126,9 +150,11 @@ def effective_masses(w_a, w_b, arms):
 
 
 @njit(cache=True)
-def move_surfaces(contacts, segments, solver_bodies, rows):
-    """Let the surfaces of segments move, in place on rows with tangents and on the solver bodies."""
-    last = solver_bodies.shape[0] - 1
+def move_surfaces(contacts, segments, solver_bodies, rows, last):
+    """Let the surfaces of segments move, in place on rows with tangents and on the solver bodies.
+
+    last: solver body of the segments.
+    """
     if segments.line.shape[0] == 0:
         return
     solver_bodies[last, V_S] = 1.0
@@ -136,6 +162,19 @@ def move_surfaces(contacts, segments, solver_bodies, rows):
         s = contacts.body_b[i] - last - 1
         if s >= 0:
             rows.data[i, ARM_B] = surface_velocity(segments.line[s], contacts.normal[i, 0], contacts.normal[i, 1])
+
+
+@njit(cache=True, error_model="numpy")
+def move_walls(contacts, segments, drive, solver_bodies, rows, last):
+    """Give each contact with a segment that moves a solver body of its own, in place. last: as of `move_surfaces`."""
+    row = last
+    for i in range(contacts.body_a.shape[0]):
+        s = contacts.body_b[i] - last - 1
+        if s >= 0 and moves(drive.wall, s):
+            row += 1
+            v_x, v_y = wall_velocity(segments.line, drive.wall, s, contacts.position[i, 0], contacts.position[i, 1])
+            solver_bodies[row, V_X], solver_bodies[row, V_Y], solver_bodies[row, V_S] = v_x, v_y, 1.0
+            rows.body[i, BODY_B] = row
 
 
 @njit(cache=True)
@@ -231,11 +270,11 @@ def store_impulses(rows, contacts, parts):
 
 
 @njit(cache=True, error_model="numpy")
-def integrate_positions(bodies, solver_bodies, step, segments):
+def integrate_positions(bodies, solver_bodies, step, segments, drive):
     """Give the bodies, in place, the solved velocities, and move them by those for Δt (symplectic Euler).
 
     A displacement is cut to the largest translation, m, and a rotation with it (`cut_motion`). Fast circles stop where
-    they touch something (`continuous`). step: `StepInput`, of which the segments are.
+    they touch something (`continuous`). step: `StepInput`. segments: where they are at the end of it. drive: its own.
     Returns whether the bodies have moved: not where these are None and a circle is fast, whose stop is not compiled.
     """
     if segments is None:
@@ -243,8 +282,8 @@ def integrate_positions(bodies, solver_bodies, step, segments):
             return False
         move(bodies, solver_bodies, step.dt, step.scales.max_translation)
     else:
-        if move(bodies, solver_bodies, step.dt, step.scales.max_translation):
-            stop_fast_circles(bodies, step)
+        if move(bodies, solver_bodies, step.dt, step.scales.max_translation) or has_moving(drive):
+            stop_fast_circles(bodies, step, segments, drive)
     return True
 
 
@@ -259,10 +298,10 @@ def any_fast(solver_bodies, radius, dt):
 
 
 @njit(inline="always")
-def stop_fast_circles(bodies, step):
+def stop_fast_circles(bodies, step, segments, drive):
     """Take back, in place, the way of circles that went fast by what they touched on it (`continuous`)."""
     start = moved(bodies.position, bodies.velocity, -step.dt)
-    stop_fast(bodies, start, step.gravity, step.dt, step.box, step.segments, step.scales)
+    stop_fast(bodies, start, step.gravity, step.dt, step.box, segments, step.scales, drive)
 
 
 @njit(cache=True, error_model="numpy")

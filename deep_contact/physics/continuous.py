@@ -8,6 +8,9 @@ order of time, so that a circle also meets those that have stopped before it.
 
 Circles slower than that are left alone. (Box2D 2.3 does this for walls and bullets, `b2World::SolveTOI`, and solves the
 velocities there and then.)
+
+What moves from outside, a segment or a fixed circle, is stopped by nothing. What it meets within the step goes on with
+it from there (`step.Drive`).
 """
 
 from __future__ import annotations
@@ -20,7 +23,18 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.physics.collision import COLUMNS, ROWS, make_cells, sort_level, wall_gap
-from deep_contact.physics.segments import BESIDE, ON, START, hides, is_free, near_box, segment_gap, time_to_touch
+from deep_contact.physics.segments import (
+    BESIDE,
+    ON,
+    START,
+    carried,
+    hides,
+    is_free,
+    moves,
+    near_box,
+    segment_gap,
+    time_to_touch,
+)
 from deep_contact.state import WALL_NORMALS
 
 FAST = 0.5
@@ -38,11 +52,11 @@ MOST_LOOKS = 1000
 
 
 @njit(cache=True, error_model="numpy")
-def stop_fast(bodies, start, gravity, dt, box, segments, scales):
+def stop_fast(bodies, start, gravity, dt, box, segments, scales, drive):
     """Take back, in place, what circles have moved beyond the first touch of a fast one, and the energy of its fall.
 
-    bodies: after their move of Δt, s. start: (n, 2), where they were, m. gravity, box, segments, scales: of
-    `StepInput`.
+    bodies: after their move of Δt, s. start: (n, 2), where they were, m. gravity, box, scales, drive: of `StepInput`.
+    segments: after their moves.
     """
     n = bodies.mass.shape[0]
     move = moved(bodies.position, start, -1.0)
@@ -51,14 +65,19 @@ def stop_fast(bodies, start, gravity, dt, box, segments, scales):
     fast = np.empty(n, np.bool_)
     for i in range(n):
         fast[i] = move[i, 0] * move[i, 0] + move[i, 1] * move[i, 1] > (FAST * bodies.radius[i]) ** 2
-    swept = _sort_swept(start, move, bodies.radius)
-    stop = np.ones(n)
-    when = np.full(n, np.inf)
+    stop, when, along = np.ones(n), np.full(n, np.inf), np.zeros((n, 2))
     path = (start, move, stop, bodies.radius, box, segments, scales)
+    if drive is not None:
+        meet_moving_walls(fast, path, drive, dt)
+        if not fast.any():
+            return
+    swept = _sort_swept(start, move, bodies.radius)
+    if drive is not None:
+        meet_fixed(fast, path, swept, bodies.mass)
     queue = [(np.inf, NOTHING)]  # of (time, circle); one whose time has changed since is passed over
     for i in range(n):
         if fast[i]:
-            when[i], _ = _first_touch(i, 0.0, path, swept)
+            when[i], _ = _first_touch(i, 0.0, path, swept, drive, dt)
             heappush(queue, (when[i], i))
     looks = 0
     while queue[0][0] <= 1.0:
@@ -67,21 +86,64 @@ def stop_fast(bodies, start, gravity, dt, box, segments, scales):
             continue
         looks += 1
         # Others may have stopped since this was found: it is looked for again, and later if it is not the same.
-        time, other = _first_touch(i, when[i], path, swept)
+        time, other = _first_touch(i, when[i], path, swept, drive, dt)
         # Where rounding finds it later without end, it is now.
         if time > when[i] + 1e-12 and (time > 1.0 or looks < MOST_LOOKS * n):
             when[i] = time
             heappush(queue, (time, i))
             continue
+        if drive is not None:
+            go_along(i, other, path, bodies.mass, drive, dt, along)
         for k in (i, other):
-            if 0 <= k < n and stop[k] == 1.0:
+            if 0 <= k < n and stop[k] == 1.0 and bodies.mass[k] < np.inf:
                 stop[k], when[k] = time, np.inf
                 _tell_neighbours(k, time, path, swept, fast, when, queue)
     for i in range(n):
         if stop[i] < 1.0:
             for axis in range(2):
-                bodies.position[i, axis] = start[i, axis] + stop[i] * move[i, axis]
+                bodies.position[i, axis] = start[i, axis] + stop[i] * move[i, axis] + (1.0 - stop[i]) * along[i, axis]
             take_back_fall(bodies.velocity[i], (1.0 - stop[i]) * dt, gravity)
+
+
+@njit(cache=True, error_model="numpy")
+def meet_moving_walls(fast, path, drive, dt):
+    """Let those be fast as well, in place, whose way is long as a moving segment near it sees it."""
+    start, move, _, radius, _, segments, scales = path
+    line = segments.line
+    for s in drive.moving:
+        for i in range(radius.shape[0]):
+            to_x, to_y = start[i, 0] + move[i, 0], start[i, 1] + move[i, 1]
+            x, y = carried(line, drive.wall, s, dt, start[i, 0], start[i, 1])
+            reach = radius[i] + scales.wall_skin
+            if (
+                max(x, to_x) + reach >= min(line[s, 0], line[s, 2])
+                and min(x, to_x) - reach <= max(line[s, 0], line[s, 2])
+                and max(y, to_y) + reach >= min(line[s, 1], line[s, 3])
+                and min(y, to_y) - reach <= max(line[s, 1], line[s, 3])
+            ):
+                fast[i] |= (to_x - x) ** 2 + (to_y - y) ** 2 > (FAST * radius[i]) ** 2
+
+
+@njit(cache=True)
+def meet_fixed(fast, path, swept, mass):
+    """Let circles be fast, in place, that a fast fixed circle may meet, and fixed ones not."""
+    for k in range(mass.shape[0]):
+        if mass[k] == np.inf and fast[k]:
+            for i in _crossing(k, path, swept):
+                fast[i] = True
+    for k in range(mass.shape[0]):
+        fast[k] &= mass[k] < np.inf
+
+
+@njit(cache=True)
+def go_along(i, other, path, mass, drive, dt, along):
+    """Write what carries circle i on, in a whole step, m, if that is what it meets: a segment or a fixed circle."""
+    start, move, segments, n = path[0], path[1], path[5], mass.shape[0]
+    if other >= n + 4 and moves(drive.wall, other - n - 4):
+        x, y = carried(segments.line, drive.wall, other - n - 4, dt, start[i, 0], start[i, 1])
+        along[i, 0], along[i, 1] = x - start[i, 0], y - start[i, 1]
+    elif 0 <= other < n and mass[other] == np.inf:
+        along[i, 0], along[i, 1] = move[other, 0], move[other, 1]
 
 
 @njit(cache=True)
@@ -172,7 +234,7 @@ def take_back_fall(velocity, time, gravity):
 
 
 @njit(cache=True, error_model="numpy")
-def _first_touch(i, now, path, swept):
+def _first_touch(i, now, path, swept, drive, dt):
     """(time, partner) of the first touch of a circle from a time on; (inf, NOTHING) without one. Time is in steps."""
     start, move, _, radius, box, segments, scales = path
     n = radius.shape[0]
@@ -191,7 +253,16 @@ def _first_touch(i, now, path, swept):
     way = min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y)
     if not is_free(segments.start, segments.grid, *way):
         for s in near_box(segments, *way, np.empty_like(segments.every)):
-            time = max(now, _touch_segment(i, s, path))
+            if drive is not None:
+                if moves(drive.wall, s):
+                    continue
+            time = max(now, _touch_segment(i, s, x, y, path))
+            if time < first:
+                first, partner = time, n + 4 + s
+    if drive is not None:
+        for s in drive.moving:
+            from_x, from_y = carried(segments.line, drive.wall, s, dt, x, y)
+            time = max(now, _touch_segment(i, s, from_x, from_y, path))
             if time < first:
                 first, partner = time, n + 4 + s
     for k in _crossing(i, path, swept):
@@ -209,18 +280,18 @@ def _least(distance, reach, radius, scales):
 
 
 @njit(cache=True, error_model="numpy")
-def _touch_segment(i, s, path):
-    """Time of the first touch of a circle and a segment, in steps; inf without one."""
+def _touch_segment(i, s, x, y, path):
+    """Time of the first touch of a circle, which comes from (x, y), and a segment, in steps; inf without one."""
     start, move, _, radius, box, segments, scales = path
-    line = segments.line
-    x, y, reach = start[i, 0], start[i, 1], radius[i] + scales.wall_skin
+    line, reach = segments.line, radius[i] + scales.wall_skin
+    m_x, m_y = start[i, 0] - x + move[i, 0], start[i, 1] - y + move[i, 1]
     e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
     before = e_x * (y - line[s, 1]) - e_y * (x - line[s, 0])
-    after = before + e_x * move[i, 1] - e_y * move[i, 0]
+    after = before + e_x * m_y - e_y * m_x
     if before * after > 0.0 and min(before * before, after * after) > reach * reach * (e_x * e_x + e_y * e_y):
         return np.inf  # the whole path is on one side of the line, and beyond reach of it
     least = _least(segment_gap(line[s], x, y)[0], reach, radius[i], scales)
-    time, part = time_to_touch(line[s], x, y, move[i, 0], move[i, 1], least)
+    time, part = time_to_touch(line[s], x, y, m_x, m_y, least)
     if part != BESIDE and time <= 1.0:
         # An end on a surface is no nearer than that: what slides along one segment does not stop at the next.
         end, column = 2 * s + part - START, 2 * (part - START)
@@ -231,7 +302,7 @@ def _touch_segment(i, s, path):
         for wall in range(4):
             if wall_gap(e_x, e_y, box, wall) <= ON * reach:
                 least = min(least, _least(wall_gap(x, y, box, wall), reach, radius[i], scales))
-        time, _ = time_to_touch(line[s], x, y, move[i, 0], move[i, 1], least)
+        time, _ = time_to_touch(line[s], x, y, m_x, m_y, least)
     return time
 
 

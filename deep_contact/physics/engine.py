@@ -25,17 +25,18 @@ from deep_contact.physics.contact_solver import (
     integrate_positions,
     integrate_velocities,
     more_rows,
+    room_for_walls,
     store_impulses,
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.impacts import rebound
 from deep_contact.physics.position_correction import correct_positions
-from deep_contact.physics.segments import positions_before, segments_in_grid
+from deep_contact.physics.segments import has_moving, moved_segments, positions_before, segments_in_grid
 from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
 from deep_contact.physics.step import (
     DONE,
-    WATCHED,
     WORK,
+    Drive,
     Motion,
     StepInput,
     StepLog,
@@ -47,6 +48,9 @@ from deep_contact.physics.step import (
     log_part,
     make_memory,
     with_rare,
+    with_segments,
+    work_of_push,
+    work_on,
 )
 from deep_contact.physics.substeps import depart, part_of, parts_of, rejoin
 from deep_contact.state import Contacts, State, native, notebook
@@ -54,7 +58,7 @@ from deep_contact.state.scales import ContactScales, mean
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance(step, motion, contacts, sleep, options, memory, log):
+def advance(step, motion, contacts, sleep, options, memory, log, drive):
     """Do as many steps as the log has rows, or until its work is done: the bodies move in place.
 
     Each step is as many substeps as the solver asks for, and motion may divide these (`substeps`). What nothing in the
@@ -62,12 +66,14 @@ def advance(step, motion, contacts, sleep, options, memory, log):
     call ends before the first substep that has one, and the next call goes on there.
     Returns the contacts found, in memory that the next call writes into, and `StepLog.received`.
     step: `StepInput`. motion: its own, None where it has nothing rare. sleep: `SleepMemory`, None where nothing may.
-    options: `StepOptions`. memory: `StepMemory`. log: `StepLog`, filled.
+    options: `StepOptions`. memory: `StepMemory`. log: `StepLog`, filled. drive: the step's own.
     """
+    if drive is not None:
+        step = with_segments(step, moved_segments(step.segments, drive, 0.0))
     part, turn, received = step, 0, log.received
     for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
         if sleep is not None:
-            if sleeping.all_asleep(sleep):
+            if sleeping.all_asleep(sleep) and not has_moving(drive):
                 log_part(log, j // step.parts, 0, 0, memory.theta, 0)
                 if is_asked(log):
                     impulse, n = impulses_of(contacts, 1.0 / step.parts), step.bodies.mass.shape[0]
@@ -75,20 +81,22 @@ def advance(step, motion, contacts, sleep, options, memory, log):
                 log.progress[DONE] = j + 1
                 continue
         if motion is not None:
-            parts = parts_of(step, memory.cells)
+            parts = parts_of(step, memory.cells, drive)
             part = part if parts * step.parts == part.parts else part_of(step, parts)
             if part.parts > step.parts:
-                depart(step, part, contacts)
+                depart(step, part, contacts, drive)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
-            is_whole, contacts, received = do_part(
-                part, motion, contacts, sleep, options, memory, log, received, j // step.parts, turn
+            is_whole, contacts, received, segments = do_part(
+                part, motion, contacts, sleep, options, memory, log, received, j // step.parts, turn, drive
             )
             if not is_whole:
                 return contacts, received
+            if drive is not None:
+                part, step = with_segments(part, segments), with_segments(step, segments)
         if motion is not None:
             if part.parts > step.parts:
-                rejoin(step, part, contacts)
+                rejoin(step, part, contacts, drive)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
@@ -96,11 +104,12 @@ def advance(step, motion, contacts, sleep, options, memory, log):
 
 
 @njit(inline="always")
-def do_part(part, motion, contacts, sleep, options, memory, log, received, k, turn):
+def do_part(part, motion, contacts, sleep, options, memory, log, received, k, turn, drive):
     """A part of the k-th step: velocities, positions, and the contacts that the next part solves, in buffer `turn`.
 
-    Returns whether it is done, its contacts and `StepLog.received`: (False, as they are) before a fast circle that
-    nothing compiled stops. It has no call of its own, which would count references to all arrays that are handed on.
+    Returns whether it is done, its contacts, `StepLog.received` and the segments after it: (False, as they are) before
+    a fast circle that nothing compiled stops. It has no call of its own, which would count references to all arrays
+    that are handed on.
     """
     bodies, box, segments, scales, friction = part.bodies, part.box, part.segments, part.scales, part.friction
     solver_bodies, theta, rows, cells = memory.solver_bodies, memory.theta, memory.rows, memory.cells
@@ -110,33 +119,41 @@ def do_part(part, motion, contacts, sleep, options, memory, log, received, k, tu
     # Velocities.
     if not memory.is_built:
         if motion is not None:
-            if is_asked(log):
+            if is_asked(log) or drive is not None:
                 impacts = np.zeros((active.body_a.shape[0], 2))
-            rebound(part, active, impacts)
-        integrate_velocities(bodies, part.gravity, part.dt, solver_bodies)
+            work = rebound(part, active, impacts, drive)
+            if drive is not None:
+                log.work[0] += work + work_on(part, active, impacts)
+                solver_bodies = room_for_walls(solver_bodies, active, bodies.mass.shape[0], drive)
+        integrate_velocities(bodies, part.gravity, part.dt, solver_bodies, drive)
         if sleep is not None:
             sleeping.hold_sleeping(solver_bodies, sleep)
-        rows = contact_rows(active, bodies.radius, segments, solver_bodies, rows, friction, 1.0 / part.parts)
+        rows = contact_rows(active, bodies.radius, segments, solver_bodies, rows, friction, 1.0 / part.parts, drive)
     apply_impulses(rows, solver_bodies, friction)
     sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, memory.workspace)
     store_impulses(rows, active, part.parts)
     if sleep is not None:
         sleeping.store_awake_impulses(active, contacts, sleep)
+    if drive is not None:
+        log.work[0] += work_on(part, active, impulses_of(active, 1.0 / part.parts)) + work_of_push(part, solver_bodies)
+        segments = moved_segments(segments, drive, part.dt)
     # Positions.
     before = positions_before(bodies, segments)
-    if not integrate_positions(bodies, solver_bodies, part, segments):
-        return False, contacts, received
+    if not integrate_positions(bodies, solver_bodies, part, segments, drive):
+        return False, contacts, received, segments
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
     # The contacts that the next part or step solves.
     buffer, skin = memory.contacts[turn], scales.wall_skin
-    following = next_contacts(bodies, before, box, segments, skin, cells, contacts, options.carry, buffer)
+    following = next_contacts(
+        bodies, before, box, segments, skin, cells, contacts, options.carry, buffer, drive, part.dt
+    )
     if sleep is not None:
-        sleeping.wake_and_put_to_sleep(part, following, sleep)
+        sleeping.wake_and_put_to_sleep(part, following, sleep, drive)
     log_part(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
     if is_asked(log):
         received = log_impulses(log, received, contacts, impulses_of(contacts, 1.0 / part.parts), bodies.mass.shape[0])
         received = log_impulses(log, received, active, impacts, bodies.mass.shape[0])
-    return True, following, received
+    return True, following, received, segments
 
 
 class Steps:
@@ -209,16 +226,18 @@ class Steps:
         if problem is not None and self.sleep is None and step.parts == motion_parts(self._solver) == 1:
             rows, solver_bodies, _, impacts = started(problem, contacts, step.friction)
             memory = memory._replace(rows=rows, solver_bodies=solver_bodies, is_built=True)
-            if len(log.loads) or log.progress[WATCHED]:
+            if step.drive is not None:
+                log.work[0] += work_on(step, contacts, impacts)
+            if is_asked(log):
                 received = log_impulses(log, log.received, contacts, impacts, step.bodies.count)
                 log = log._replace(received=received)
         while True:
             self._is_plain = self._is_plain and step.motion is None
             step = step if self._is_plain else self._with_rare(step)
-            kind = self._is_plain, key  # what the types of all arguments depend on
+            kind = self._is_plain, key, step.drive is None  # what the types of all arguments depend on
             if kind not in self._direct:
                 self._direct[kind] = Direct(self._advance)
-            given = step, step.motion, contacts, self.sleep, self._options, memory, log
+            given = step, step.motion, contacts, self.sleep, self._options, memory, log, step.drive
             following, received = self._direct[kind](*given)
             parts = int(log.parts[0] if len(log.parts) == 1 else log.parts.sum())
             following, before = self._keep(following, parts - before, buffer, key), parts
@@ -247,11 +266,11 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def build_rows(step, contacts, solver_bodies):
-    """Fill the solver bodies of a step, after its impacts, and return its rows. step: `StepInput`."""
-    integrate_velocities(step.bodies, step.gravity, step.dt, solver_bodies)
-    buffer = more_rows(contacts.body_a.shape[0], step.friction)
-    return contact_rows(contacts, step.bodies.radius, step.segments, solver_bodies, buffer, step.friction, 1.0)
+def build_rows(step, contacts, solver_bodies, drive):
+    """Fill the solver bodies of a step, after its impacts, and return its rows. step: `StepInput`. drive: its own."""
+    integrate_velocities(step.bodies, step.gravity, step.dt, solver_bodies, drive)
+    buffer, radius = more_rows(contacts.body_a.shape[0], step.friction), step.bodies.radius
+    return contact_rows(contacts, radius, step.segments, solver_bodies, buffer, step.friction, 1.0, drive)
 
 
 class ContactSolution(NamedTuple):
@@ -299,11 +318,25 @@ def step_input(state: State, solver, scales: ContactScales | None = None) -> Ste
     friction = None if solver is not None and leaves_tangents_out(state, solver) else world.friction
     scales, most = scales_of(state, solver) if scales is None else scales, motion_parts(solver)
     step = StepInput(state.bodies, world.box, None, world.gravity, friction, None, state.dt / parts, parts, scales)
-    if most == 1 and not world.segments and world.restitution == 0.0:
+    drive = drive_of(state)
+    if most == 1 and not world.segments and world.restitution == 0.0 and drive is None:
         return step
     motion = Motion(most, solver.approach * mean(state.bodies.radius)) if most > 1 else Motion(1, 0.0)
     segments = segments_in_grid(world, reach_of(state, scales))
-    return step._replace(segments=segments, restitution=world.restitution, motion=motion)
+    if world.segment_velocities:
+        segments = segments._replace(line=segments.line.copy())
+    return step._replace(segments=segments, restitution=world.restitution, motion=motion, drive=drive)
+
+
+def drive_of(state: State) -> Drive | None:
+    """What is moved and pushed from outside in the step from a state; None where nothing is."""
+    (force, torque), world, n = state.push or (None, None), state.world, state.bodies.count
+    if force is None and not world.segment_velocities and not state.bodies.is_fixed.any():
+        return None
+    if force is None:
+        force, torque = np.zeros((n, 2)), np.zeros(n)
+    wall = np.array(world.segment_velocities or np.zeros((len(world.segments), 4))).reshape(-1, 4)
+    return Drive(wall, np.flatnonzero(wall.any(axis=1)), force, torque)
 
 
 def reach_of(state: State, scales: ContactScales) -> float:
@@ -334,16 +367,19 @@ def _after_impacts(state: State) -> tuple[State, np.ndarray]:
         return state, np.zeros((0, 2))
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy(), spin=state.bodies.spin.copy())
     state, impacts = state.replace(bodies=bodies), np.zeros((state.contacts.count, 2))
-    rebound(step_input(state, None), state.contacts, impacts)
+    step = step_input(state, None)
+    rebound(step, state.contacts, impacts, step.drive)
     return state, impacts
 
 
 def step_problem(state: State, scales: ContactScales | None = None) -> StepProblem:
     """The contact problem of the next step, with tangents. scales: the state's, if at hand."""
     state, impacts = _after_impacts(state)
-    solver_bodies = np.empty((state.bodies.count + 4, 4))
-    step = step_input(state, None, scales)
-    return StepProblem(build_rows(step, state.contacts, solver_bodies), solver_bodies, step.friction, impacts)
+    solver_bodies, step = np.empty((state.bodies.count + 4, 4)), step_input(state, None, scales)
+    if step.drive is not None:
+        solver_bodies = room_for_walls(solver_bodies, state.contacts, state.bodies.count, step.drive)
+    rows = build_rows(step, state.contacts, solver_bodies, step.drive)
+    return StepProblem(rows, solver_bodies, step.friction, impacts)
 
 
 def started(problem: StepProblem, contacts: Contacts, friction: float | None) -> StepProblem:
@@ -359,7 +395,8 @@ def contacts_of(state: State) -> Contacts:
     """The contacts at the state's positions, with zero impulses."""
     bodies, world = native(state).bodies, state.world
     segments = segments_in_grid(world, reach_of(state, state.scales)) if world.segments else None
-    where = bodies.position, bodies.radius, world.box, segments, state.scales.wall_skin
+    mass = bodies.mass if bodies.is_fixed.any() else None
+    where = bodies.position, bodies.radius, mass, world.box, segments, state.scales.wall_skin
     contacts = own_contacts(find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64)))
     for values in contacts[5:]:
         values[:] = 0.0

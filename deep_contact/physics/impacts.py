@@ -38,7 +38,7 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import arms_of, effective_masses
 from deep_contact.physics.islands import root_of
-from deep_contact.physics.segments import surface_velocity
+from deep_contact.physics.segments import moves, surface_velocity, wall_velocity
 
 MOST_STRIKES = 200, 50_000
 """Rebounds of a step, per contact and, if that is more, of all. What approaches after them is left to the contact
@@ -85,19 +85,47 @@ class Round(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def rebound(step, contacts, impulse):
-    """Let circles that meet rebound, in place on their velocities and spins, where e > 0. step: `StepInput`.
+def rebound(step, contacts, impulse, drive):
+    """Let circles that meet rebound, in place on their velocities and spins, where e > 0: by `reflect`.
+
+    Velocities are half a step behind the positions in what pushes give, as in what gravity gives; fixed circles rise as
+    walls do. Returns the work of pushes in that, J. drive: of the step.
+    """
+    work, bodies = 0.0, step.bodies
+    if step.restitution == 0.0:
+        return work
+    if drive is None:
+        reflect(step, contacts, impulse, drive)
+        return work
+    velocity, before, half = bodies.velocity, bodies.velocity.copy(), 0.5 * step.dt
+    for i in range(bodies.mass.shape[0]):
+        for axis in range(2):
+            if bodies.mass[i] == np.inf:
+                velocity[i, axis] -= half * step.gravity[axis]
+            else:
+                velocity[i, axis] += half * drive.force[i, axis] / bodies.mass[i]
+    shifted = velocity.copy()
+    reflect(step, contacts, impulse, drive)
+    for i in range(bodies.mass.shape[0]):
+        for axis in range(2):
+            change = velocity[i, axis] - shifted[i, axis]
+            work -= half * drive.force[i, axis] * change
+            velocity[i, axis] = before[i, axis] + change
+    return work
+
+
+@njit(cache=True, error_model="numpy")
+def reflect(step, contacts, impulse, drive):
+    """The rounds of `rebound`. step: `StepInput`.
 
     impulse: to which what the second bodies of the contacts receive is added, (m, 2), N·s; (0, 2) where nobody asks.
 
     Approaches of up to (1 − e²) times the scene's `restitution_threshold`, and of what gravity gives in a step, do not
     rebound, so that piles come to rest. Both times |n · g| / |g|, or `ACROSS`: gravity presses no side wall.
     """
-    if step.restitution == 0.0:
-        return
     m, n, floor = contacts.body_a.shape[0], step.bodies.mass.shape[0], floor_of(step)
     first = 0
-    while first < m and approach_of(step, contacts, first, floor, 0.0) == 0.0:
+    while first < m and approach_of(step, contacts, first, floor, 0.0, drive) == 0.0:
         first += 1
     if first == m:
         return
@@ -113,13 +141,13 @@ def rebound(step, contacts, impulse):
         for k in range(count):
             i = now.near[k]
             fastest = max(now.fastest[contacts.body_a[i]], now.fastest[min(contacts.body_b[i], n)])
-            x = approach_of(step, contacts, i, floor, slowest * fastest)
+            x = approach_of(step, contacts, i, floor, slowest * fastest, drive)
             if x > 0.0:
                 now.near[struck], now.approach[struck] = i, x
                 struck += 1
         circles = join(step.bodies, contacts, struck, now)
         push(step, contacts, struck, circles, now)
-        rub(step, contacts, struck, circles, now, step.friction, impulse)
+        rub(step, contacts, struck, circles, now, step.friction, impulse, drive)
         strikes, count = strikes + struck, 0
         for k in range(circles):
             end = head[now.circle[k]]
@@ -145,12 +173,12 @@ def floor_of(step):
 
 
 @njit(cache=True, error_model="numpy")
-def approach_of(step, contacts, i, floor, least):
+def approach_of(step, contacts, i, floor, least, drive):
     """−v_n of the i-th contact, m/s, or 0 where it does not rebound: not above `least`, m/s, or the floor."""
     velocity, (flat, f_x, f_y) = step.bodies.velocity, floor
     a, b, n_x, n_y = contacts.body_a[i], contacts.body_b[i], contacts.normal[i, 0], contacts.normal[i, 1]
     a_x, a_y = velocity[a, 0], velocity[a, 1]
-    b_x, b_y = (velocity[b, 0], velocity[b, 1]) if b < velocity.shape[0] else ground_of(step)
+    b_x, b_y = (velocity[b, 0], velocity[b, 1]) if b < velocity.shape[0] else ground_of(step, contacts, i, drive)
     x = (a_x - b_x) * n_x + (a_y - b_y) * n_y
     if x > 0.0:
         least = max(least, flat, abs(f_x * n_x + f_y * n_y))
@@ -160,10 +188,17 @@ def approach_of(step, contacts, i, floor, least):
     return 0.0
 
 
-@njit(inline="always")
-def ground_of(step):
-    """Velocity of walls and segments, m/s: see the module."""
-    return -0.5 * step.dt * step.gravity[0], -0.5 * step.dt * step.gravity[1]
+@njit(cache=True)
+def ground_of(step, contacts, i, drive):
+    """Velocity of a wall or a segment at the i-th contact, m/s: see the module."""
+    v_x, v_y = -0.5 * step.dt * step.gravity[0], -0.5 * step.dt * step.gravity[1]
+    if drive is not None:
+        s = contacts.body_b[i] - step.bodies.mass.shape[0] - 4
+        if s >= 0 and moves(drive.wall, s):
+            x, y = contacts.position[i, 0], contacts.position[i, 1]
+            w_x, w_y = wall_velocity(step.segments.line, drive.wall, s, x, y)
+            v_x, v_y = v_x + w_x, v_y + w_y
+    return v_x, v_y
 
 
 @njit(inline="always")
@@ -260,7 +295,7 @@ def give(now, a, b, p_x, p_y):
 
 
 @njit(cache=True, error_model="numpy")
-def rub(step, contacts, struck, circles, now, friction, impulse):
+def rub(step, contacts, struck, circles, now, friction, impulse, drive):
     """Give the circles the friction of their normal impulses, in place. impulse: of `rebound`."""
     bodies, n = step.bodies, step.bodies.mass.shape[0]
     for k in range(struck):
@@ -270,7 +305,7 @@ def rub(step, contacts, struck, circles, now, friction, impulse):
             arms, row = arms_of(bodies.radius, a, b, contacts.separation[i]), min(b, n)
             _, w_a, w_b = shared_masses(bodies, contacts, k, now)
             k_t = effective_masses(w_a, w_b, arms)[1]
-            p_t = max(-friction * p_n, min(-k_t * slip_of(step, contacts, i, arms), friction * p_n))
+            p_t = max(-friction * p_n, min(-k_t * slip_of(step, contacts, i, arms, drive), friction * p_n))
             give(now, a, row, p_t * n_y, -p_t * n_x)
             now.impulse[a, 2] += arms[0] * p_t
             now.impulse[row, 2] += arms[1] * p_t
@@ -287,7 +322,7 @@ def rub(step, contacts, struck, circles, now, friction, impulse):
 
 
 @njit(cache=True, error_model="numpy")
-def slip_of(step, contacts, i, arms):
+def slip_of(step, contacts, i, arms, drive):
     """v_t of the i-th contact, m/s, the tangent (n_y, −n_x). arms: over radii."""
     bodies, n, a, b = step.bodies, step.bodies.mass.shape[0], contacts.body_a[i], contacts.body_b[i]
     n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
@@ -295,7 +330,7 @@ def slip_of(step, contacts, i, arms):
     if b < n:
         v_t += arms[1] * bodies.spin[b] * bodies.radius[b]
         return v_t + bodies.velocity[b, 0] * n_y - bodies.velocity[b, 1] * n_x
-    ground = ground_of(step)
+    ground = ground_of(step, contacts, i, drive)
     v_t += ground[0] * n_y - ground[1] * n_x
     if b >= n + 4:
         v_t += surface_velocity(step.segments.line[b - n - 4], n_x, n_y)

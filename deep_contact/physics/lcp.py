@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from deep_contact.physics.engine import after_impacts
-from deep_contact.physics.segments import segments_of, surface_velocities
+from deep_contact.physics.metrics import free_velocity
+from deep_contact.physics.segments import ground_velocities
 from deep_contact.state import State
 from deep_contact.validation import expect, floats, refuse_where
 
@@ -26,7 +26,7 @@ class ContactProblem(NamedTuple):
     """
 
     A: sparse.csr_array  # (r, r), 1/kg: J M⁻¹ Jᵀ
-    b: np.ndarray  # (r,), m/s: J (v + Δt M⁻¹ F) and surfaces that move; v after the step's impacts
+    b: np.ndarray  # (r,), m/s: J (v + Δt M⁻¹ F), and segments and surfaces that move; v after the step's impacts
     jacobian: sparse.csr_array | None = None  # (r, 3n): J; J v is what circles give to contacts
     inverse_mass: np.ndarray | None = None  # (3n,): diagonal of M⁻¹ for (v_x, v_y, ω) of every circle
     free_velocity: np.ndarray | None = None  # (3n,), m/s, rad/s: v + Δt M⁻¹ F, likewise
@@ -82,11 +82,11 @@ def contact_problem(state: State) -> ContactProblem:
     """Assemble A and b of a state that has contacts."""
     if state.contacts is None:
         raise ValueError("state.contacts: expected the contacts to have been found, got None (see dc.step)")
-    bodies, contacts = after_impacts(state).bodies, state.contacts
+    bodies, contacts = state.bodies, state.contacts
     n, m = bodies.count, contacts.count
     inverse_mass = np.repeat(1 / bodies.mass, 3)
     inverse_mass[2::3] = 1 / bodies.inertia
-    free = np.column_stack([bodies.velocity + state.dt * np.array(state.world.gravity), bodies.spin]).ravel()
+    free = np.column_stack(free_velocity(state)).ravel()
 
     rows, columns, entries = [], [], []
     tangent = np.column_stack([contacts.normal[:, 1], -contacts.normal[:, 0]])
@@ -106,8 +106,7 @@ def contact_problem(state: State) -> ContactProblem:
     index = (np.concatenate(rows), np.concatenate(columns))
     jacobian = sparse.csr_array(sparse.coo_array((np.concatenate(entries), index), shape=(2 * m, 3 * n)))
     b = jacobian @ free
-    if state.world.surface_speeds:
-        b[1::2] += surface_velocities(contacts, segments_of(state.world), n)
+    b += ground_velocities(contacts, state.world, n).T.ravel()
     A = sparse.csr_array(jacobian @ sparse.diags_array(inverse_mass) @ jacobian.T)
     A.sort_indices()
     return ContactProblem(A, b, jacobian, inverse_mass, free, np.full(m, state.world.friction))

@@ -39,11 +39,11 @@ which these end, and up to which what they find is a pile at rest."""
 def load_of(state: State) -> tuple[int, int]:
     """Digests of what the impulses of a state are solved for, and of its velocities.
 
-    The first is of the world, Δt, and all of the circles but how they move.
+    The first is of the world, Δt, pushes, and all of the circles but how they move.
     """
     position, velocity, _, spin, mass, radius = map(np.ascontiguousarray, state.bodies)
     load, motion = zlib.crc32(np.float64(state.dt), _of_world(state.world)), zlib.crc32(velocity, zlib.crc32(spin))
-    for values in (position, mass, radius):
+    for values in (position, mass, radius, *(state.push or ())):
         load = zlib.crc32(values, load)
     return load, motion
 

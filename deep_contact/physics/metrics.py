@@ -12,19 +12,27 @@ from collections.abc import Sequence
 import numpy as np
 
 from deep_contact.physics.engine import ContactSolution, after_impacts, contacts_of
-from deep_contact.physics.segments import segments_of, surface_velocities
+from deep_contact.physics.segments import ground_velocities
 from deep_contact.state import Bodies, State
 from deep_contact.validation import expect
 
 
 def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
-    """v⁻ = v + Δt g and ω before contacts, after impacts: velocities (n, 2), m/s, and spins (n,), rad/s (Eq 2.27)."""
+    """v⁻ = v + Δt M⁻¹ F before contacts, after impacts: velocities (n, 2), m/s, and spins (n,), rad/s (Eq 2.27).
+
+    F: of gravity and pushes.
+    """
     bodies = after_impacts(state).bodies
-    return bodies.velocity + state.dt * np.array(state.world.gravity), bodies.spin
+    velocity, spin = bodies.velocity + state.dt * np.array(state.world.gravity), bodies.spin
+    if state.push is not None:
+        velocity = velocity + state.dt * state.push[0] / bodies.mass[:, None]
+        spin = spin + state.dt * state.push[1] / bodies.inertia
+    return np.where(bodies.is_fixed[:, None], bodies.velocity, velocity), spin
 
 
 def kinetic_energy(bodies: Bodies) -> float:
     """Of all circles, translation and rotation, J."""
+    bodies = bodies._replace(mass=bodies.free_mass)
     linear = np.einsum("i,ij,ij->", bodies.mass, bodies.velocity, bodies.velocity)
     return float(0.5 * (linear + bodies.inertia @ bodies.spin**2))
 
@@ -34,6 +42,7 @@ def energy_norm(bodies: Bodies, velocity: np.ndarray, spin: np.ndarray) -> float
 
     In this norm the frictionless contact problem is a projection (Moreau 1966). velocity: (n, 2), m/s. spin: (n,).
     """
+    bodies = bodies._replace(mass=bodies.free_mass)
     return float(np.sqrt(bodies.mass @ (velocity**2).sum(axis=1) + bodies.inertia @ spin**2))
 
 
@@ -73,15 +82,14 @@ def _ends(state: State) -> tuple[np.ndarray, ...]:
 def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Relative velocities of the contacts along the normals and along the tangents, (m,) each, m/s.
 
-    J v, and in the tangent rows of segments the velocity of the surface (`World.surface_speeds`).
+    J v, and the velocities of segments and of their surfaces.
     """
     (a, b, arm_a, arm_b), normal = _ends(state), state.contacts.normal
     v, w = np.vstack([velocity, np.zeros((4, 2))]), np.append(spin, np.zeros(4))
     apart, tangent = v[b] - v[a], np.column_stack([normal[:, 1], -normal[:, 0]])
     along_tangent = np.einsum("ij,ij->i", apart, tangent) + arm_a * w[a] + arm_b * w[b]
-    if state.world.surface_speeds:
-        along_tangent += surface_velocities(state.contacts, segments_of(state.world), state.bodies.count)
-    return np.einsum("ij,ij->i", apart, normal), along_tangent
+    of_ground = ground_velocities(state.contacts, state.world, state.bodies.count)
+    return np.einsum("ij,ij->i", apart, normal) + of_ground[0], along_tangent + of_ground[1]
 
 
 def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:

@@ -45,6 +45,9 @@ IDLE = 4
 _IDLE_RADIUS = 1e-200
 """Of the idle body, m: not 0, so that it is found to coincide with itself, and never beyond a slop."""
 
+_HEAVY = 1e200
+"""Mass of a fixed circle among tiles, kg: what it would be pushed by lies far below rounding, and is not taken."""
+
 TURNED = 0.5
 """Cosine of the angle between the line of the centres and the normal that was found, below which the latter counts."""
 
@@ -141,16 +144,19 @@ def correct_in_turn(bodies, contacts, box, segments, scales):
                 continue  # Nothing to correct; found without a square root.
             distance = math.sqrt(d_x * d_x + d_y * d_y)
             separation = distance - reach
-            push = min(BAUMGARTE * (wanted - distance), longest) / (mass[a] + mass[b])
+            m_a, m_b = mass[a], mass[b]
+            if m_a == math.inf or m_b == math.inf:  # the other one goes all the way
+                m_a, m_b = (1.0, 0.0) if m_a == math.inf else (0.0, 1.0)
+            push = min(BAUMGARTE * (wanted - distance), longest) / (m_a + m_b)
             n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
             if distance >= SMALLEST_DISTANCE * reach and d_x * n_x + d_y * n_y > TURNED * distance:
                 push /= distance
             else:
                 d_x, d_y = n_x, n_y
-            position[b, 0] += push * mass[a] * d_x
-            position[b, 1] += push * mass[a] * d_y
-            position[a, 0] = x - push * mass[b] * d_x
-            position[a, 1] = y - push * mass[b] * d_y
+            position[b, 0] += push * m_a * d_x
+            position[b, 1] += push * m_a * d_y
+            position[a, 0] = x - push * m_b * d_x
+            position[a, 1] = y - push * m_b * d_y
         else:
             w = min(b - n, 3)
             separation, d_x, d_y = wall_gap(x, y, box, w), WALL_NORMALS[w, 0], WALL_NORMALS[w, 1]
@@ -255,7 +261,7 @@ def fill_centres(bodies, centre):
     """Write x, y, radius and mass of the circles into the first rows."""
     for i in range(bodies.mass.shape[0]):
         centre[i, 0], centre[i, 1] = bodies.position[i, 0], bodies.position[i, 1]
-        centre[i, 2], centre[i, 3] = bodies.radius[i], bodies.mass[i]
+        centre[i, 2], centre[i, 3] = bodies.radius[i], min(bodies.mass[i], _HEAVY)
 
 
 @njit(cache=True)
@@ -276,4 +282,5 @@ def fill_ground(box, scales, ground):
 def take_centres(centre, bodies):
     """Write the corrected positions into the bodies, in place."""
     for i in range(bodies.mass.shape[0]):
-        bodies.position[i, 0], bodies.position[i, 1] = centre[i, 0], centre[i, 1]
+        if bodies.mass[i] < math.inf:
+            bodies.position[i, 0], bodies.position[i, 1] = centre[i, 0], centre[i, 1]

@@ -71,7 +71,8 @@ def _warn_of_coincidence(state: StateWithContacts) -> None:
 def _warn_of_outside(state: StateWithContacts) -> None:
     """Warn where circles of a scene have their centres outside of the box: its walls pull them in, through others."""
     position, box = state.bodies.position, state.world.box
-    outside = np.flatnonzero(((position < box[:2]) | (position > box[2:])).any(axis=1))
+    is_outside = ((position < box[:2]) | (position > box[2:])).any(axis=1)
+    outside = np.flatnonzero(is_outside & ~state.bodies.is_fixed)
     for i in outside[:1]:
         where = f"circle {i} lies outside of the box {box}, at ({position[i, 0]:g}, {position[i, 1]:g}) m"
         more = f" ({outside.size:,} circles do)" if outside.size > 1 else ""
@@ -98,7 +99,7 @@ def is_valid(bodies, contacts, segments=0):
         if values.shape[0] != count or values.shape[1] != 2 or not _within(values.reshape(-1), limits):
             return False
     for values, count, limits in (
-        (bodies.angle, n, _FINITE), (bodies.spin, n, _SPIN), (bodies.mass, n, _MASS), (bodies.radius, n, _RADIUS),
+        (bodies.angle, n, _FINITE), (bodies.spin, n, _SPIN), (bodies.radius, n, _RADIUS),
         (contacts.separation, m, _SEPARATION), (contacts.normal_impulse, m, (0.0, _IMPULSE[1])),
         (contacts.tangent_impulse, m, _IMPULSE), (contacts.normal_start, m, _IMPULSE),
         (contacts.tangent_start, m, _IMPULSE),
@@ -108,7 +109,9 @@ def is_valid(bodies, contacts, segments=0):
     if contacts.body_b.shape[0] != m:
         return False
     # Without branches, and in loops of one kind, so that they vectorise: what is valid is looked at to the end anyway.
-    valid = True
+    valid, (lightest, heaviest) = True, _MASS
+    for i in range(n):
+        valid &= (lightest <= bodies.mass[i]) & ((bodies.mass[i] <= heaviest) | (bodies.mass[i] == np.inf))
     for i in range(m):
         n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
         valid &= abs(math.sqrt(n_x * n_x + n_y * n_y) - 1) <= UNIT

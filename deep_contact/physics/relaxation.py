@@ -168,14 +168,17 @@ def energy_of_change(v, before):
     total = 0.0
     for a in range(v.shape[0] - 4):
         x, y, s = v[a, V_X] - before[a, V_X], v[a, V_Y] - before[a, V_Y], v[a, V_S] - before[a, V_S]
-        total += (x * x + y * y + 0.5 * s * s) / v[a, INVERSE_MASS]
+        if v[a, INVERSE_MASS] > 0.0:
+            total += (x * x + y * y + 0.5 * s * s) / v[a, INVERSE_MASS]
     return total
 
 
 @njit(cache=True, fastmath=CONTRACT)
 def rms_speed(v):
-    """Of the circles, m/s, in place."""
-    total, n = 0.0, v.shape[0] - 4
-    for a in range(n):
-        total += v[a, V_X] * v[a, V_X] + v[a, V_Y] * v[a, V_Y]
+    """Of the circles that yield, m/s."""
+    total, n = 0.0, 0
+    for a in range(v.shape[0] - 4):
+        if v[a, INVERSE_MASS] > 0.0:
+            total += v[a, V_X] * v[a, V_X] + v[a, V_Y] * v[a, V_Y]
+            n += 1
     return math.sqrt(total / max(n, 1))

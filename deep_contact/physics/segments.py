@@ -1,4 +1,4 @@
-"""Static segments: lines beside the box, felt from both sides and at their ends (`World.segments`).
+"""Segments: lines beside the box, felt from both sides and at their ends (`World.segments`).
 
 A segment is (x_0, y_0, x_1, y_1), m, and the speed of its surface, m/s; the segments of a world are an array (S, 5).
 Where a circle is nearest to an end, the contact is that with a point. An end that lies on another segment or on a wall
@@ -8,7 +8,9 @@ this in chains of Box2D 2.3; without them, a circle that rolls over a joint stum
 No centre ever crosses a segment: fast circles stop at it (`continuous`), and what sweeps or position correction would
 still push through is held on its side (`hold_beside`).
 
-Segments never move, so a grid of cells tells once a run which of them are within reach of a place (`in_grid`).
+A grid of cells tells which of them are within reach of a place (`in_grid`): it is made once a run, and where a segment
+moves (`step.Drive`), after each of its moves. What a circle does beside such a segment is looked at as the segment sees
+it: with the circle's way begun where the segment would have carried it (`carried`).
 """
 
 from __future__ import annotations
@@ -73,24 +75,31 @@ def segments_in_grid(world: World, reach: float) -> Segments:
 
 def in_grid(line: np.ndarray, reach: float) -> Segments:
     """Segments, (S, 5), in a grid of some eight cells a segment, no smaller than the reach, m."""
-    if len(line) == 0:
-        return NO_SEGMENTS
-    beyond, ends = 1.001 * reach, line[:, :4].reshape(-1, 2)
-    corner, size, most = ends.min(axis=0) - beyond, np.ptp(ends, axis=0) + 2.0 * beyond, 8 * len(line) + 4000
-    cell = max(reach, math.sqrt(size.prod() / most), size.max() / most)
-    columns, rows = (int(length / cell) + 1 for length in size)
-    grid, start = (*corner.tolist(), 1.0 / cell, columns, rows), np.zeros(rows * columns + 1, np.int64)
-    list_cells(line, beyond, grid, start, np.zeros(0, np.int64))
-    np.cumsum(start, out=start)
+    return list_segments(line, reach, 8 * len(line) + 4000) if len(line) else NO_SEGMENTS
+
+
+def list_segments(line, reach, most):
+    """`in_grid` with at most so many cells, or somewhat more."""
+    beyond, every, none = 1.001 * reach, np.arange(line.shape[0]), np.zeros(0, np.int64)
+    x, y = min(line[:, 0].min(), line[:, 2].min()) - beyond, min(line[:, 1].min(), line[:, 3].min()) - beyond
+    wide = max(line[:, 0].max(), line[:, 2].max()) - (x + beyond) + 2.0 * beyond
+    high = max(line[:, 1].max(), line[:, 3].max()) - (y + beyond) + 2.0 * beyond
+    cell = max(reach, math.sqrt(wide * high / most), max(wide, high) / most)
+    columns, rows = int(wide / cell) + 1, int(high / cell) + 1
+    grid, start = (float(x), float(y), 1.0 / cell, columns, rows), np.zeros(rows * columns + 1, np.int64)
+    list_cells(line, beyond, grid, start, none)
+    start = np.cumsum(start)
     near = np.empty(start[-1], np.int64)
     list_cells(line, beyond, grid, start[:-1].copy(), near)
-    first = np.zeros(2 * len(line) + 1, np.int64)
-    segments = Segments(line, start, near, np.arange(len(line)), first, np.zeros(0, np.int64), grid, reach)
-    list_hiding(segments, first, segments.hiding)
-    np.cumsum(first, out=first)
+    first = np.zeros(2 * line.shape[0] + 1, np.int64)
+    list_hiding(Segments(line, start, near, every, first, none, grid, reach), first, none)
+    first = np.cumsum(first)
     hiding = np.empty(first[-1], np.int64)
-    list_hiding(segments, first[:-1].copy(), hiding)
-    return segments._replace(hiding=hiding)
+    list_hiding(Segments(line, start, near, every, first, none, grid, reach), first[:-1].copy(), hiding)
+    return Segments(line, start, near, every, first, hiding, grid, reach)
+
+
+_list_again = njit(cache=True, error_model="numpy")(list_segments)
 
 
 @njit(cache=True, error_model="numpy")
@@ -206,10 +215,64 @@ def surface_velocity(segment, n_x, n_y):
     return segment[4] * (e_x * n_y - e_y * n_x) / math.sqrt(e_x * e_x + e_y * e_y)
 
 
-def surface_velocities(contacts, segments, n):
-    """`surface_velocity` of every contact of n circles, (m,), m/s; 0 where there is no segment."""
-    pairs = zip(contacts.body_b - n - 4, contacts.normal)
-    return np.array([surface_velocity(segments[s], *normal) if s >= 0 else 0.0 for s, normal in pairs])
+@njit(cache=True)
+def moves(wall, s):
+    """Whether the s-th segment moves. wall: velocities of the ends, (S, 4), m/s."""
+    return wall[s, 0] != 0.0 or wall[s, 1] != 0.0 or wall[s, 2] != 0.0 or wall[s, 3] != 0.0
+
+
+@njit(cache=True)
+def has_moving(drive):
+    """Whether a segment moves. drive: of the step."""
+    if drive is None:
+        return False
+    return drive.moving.shape[0] > 0
+
+
+@njit(cache=True, error_model="numpy")
+def wall_velocity(line, wall, s, x, y):
+    """(v_x, v_y) of the s-th segment at its point nearest to (x, y), m/s: between those of its ends, (S, 4)."""
+    e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
+    t = (e_x * (x - line[s, 0]) + e_y * (y - line[s, 1])) / (e_x * e_x + e_y * e_y)
+    t = min(1.0, max(0.0, t))
+    return wall[s, 0] + t * (wall[s, 2] - wall[s, 0]), wall[s, 1] + t * (wall[s, 3] - wall[s, 1])
+
+
+@njit(cache=True, error_model="numpy")
+def carried(line, wall, s, dt, x, y):
+    """Where a point (x, y) would be if the s-th segment, which has moved for Δt, had carried it along."""
+    x_0, y_0 = line[s, 0] - dt * wall[s, 0], line[s, 1] - dt * wall[s, 1]
+    f_x, f_y = line[s, 2] - dt * wall[s, 2] - x_0, line[s, 3] - dt * wall[s, 3] - y_0
+    e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
+    square = f_x * f_x + f_y * f_y
+    along = (f_x * (x - x_0) + f_y * (y - y_0)) / square
+    across = (f_x * (y - y_0) - f_y * (x - x_0)) / math.sqrt(square * (e_x * e_x + e_y * e_y))
+    return line[s, 0] + along * e_x - across * e_y, line[s, 1] + along * e_y + across * e_x
+
+
+@njit(cache=True, error_model="numpy")
+def moved_segments(segments, drive, dt):
+    """The segments after Δt, in a grid of where they are then; their lines move in place. drive: `step.Drive`."""
+    if drive.moving.shape[0] == 0:
+        return segments
+    line = segments.line
+    for s in drive.moving:
+        for c in range(4):
+            line[s, c] += dt * drive.wall[s, c]
+    return _list_again(line, segments.reach, 8 * line.shape[0] + 100)
+
+
+def ground_velocities(contacts, world, n):
+    """(Along the normals, along the tangents) of what is no circle, at the contacts of n circles, (m,) each, m/s."""
+    velocities, line, wall = np.zeros((2, len(contacts.body_a))), segments_of(world), np.array(world.segment_velocities)
+    if world.surface_speeds or world.segment_velocities:
+        for i in np.flatnonzero(contacts.body_b >= n + 4):
+            s, (n_x, n_y) = contacts.body_b[i] - n - 4, contacts.normal[i]
+            velocities[1, i] = surface_velocity(line[s], n_x, n_y)
+            if world.segment_velocities:
+                v_x, v_y = wall_velocity(line, wall, s, *contacts.position[i])
+                velocities[:, i] += v_x * n_x + v_y * n_y, v_x * n_y - v_y * n_x
+    return velocities
 
 
 @njit(cache=True, error_model="numpy")
@@ -323,21 +386,30 @@ def insert_pairs(position, radius, box, segments, skin, body_a, body_b, m):
 
 
 @njit(cache=True, error_model="numpy")
-def first_crossing(segments, x, y, to_x, to_y, buffer):
-    """Share of the straight way from (x, y) at which it first crosses a segment; infinite where it crosses none."""
+def first_crossing(segments, x, y, to_x, to_y, buffer, drive):
+    """Share of the straight way from (x, y) at which it first crosses a segment that rests; infinite without one."""
     first = math.inf
     for s in near_box(segments, min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y), buffer):
-        segment = segments.line[s]
-        e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
-        before = e_x * (y - segment[1]) - e_y * (x - segment[0])
-        after = e_x * (to_y - segment[1]) - e_y * (to_x - segment[0])
-        if (before >= 0.0) != (after >= 0.0):
-            share = before / (before - after)
-            at_x, at_y = x + share * (to_x - x), y + share * (to_y - y)
-            along = (e_x * (at_x - segment[0]) + e_y * (at_y - segment[1])) / (e_x * e_x + e_y * e_y)
-            if -_ROUNDING <= along <= 1.0 + _ROUNDING:
-                first = min(first, share)
+        if drive is not None:
+            if moves(drive.wall, s):
+                continue
+        first = min(first, crossing(segments.line[s], x, y, to_x, to_y))
     return first
+
+
+@njit(cache=True, error_model="numpy")
+def crossing(segment, x, y, to_x, to_y):
+    """`first_crossing` of one segment."""
+    e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
+    before = e_x * (y - segment[1]) - e_y * (x - segment[0])
+    after = e_x * (to_y - segment[1]) - e_y * (to_x - segment[0])
+    if (before >= 0.0) != (after >= 0.0):
+        share = before / (before - after)
+        at_x, at_y = x + share * (to_x - x), y + share * (to_y - y)
+        along = (e_x * (at_x - segment[0]) + e_y * (at_y - segment[1])) / (e_x * e_x + e_y * e_y)
+        if -_ROUNDING <= along <= 1.0 + _ROUNDING:
+            return share
+    return math.inf
 
 
 @njit(cache=True)
@@ -367,8 +439,8 @@ def may_cross(bodies, before, solved):
 
 
 @njit(cache=True)
-def hold_beside(bodies, before, segments):
-    """Take back half of the way, in place, of the centres that have crossed a segment, to where they did.
+def hold_beside(bodies, before, segments, drive):
+    """Take back half of the way, in place, of the centres that have crossed a segment that rests, to where they did.
 
     before: positions at the start of the step, (n, 2), m. Only what is pressed harder than the sweeps or position
     correction can withstand comes so far.
@@ -376,12 +448,26 @@ def hold_beside(bodies, before, segments):
     position, buffer, circles = bodies.position, np.empty_like(segments.every), np.empty(len(before), np.int64)
     for i in circles[: circles_beside(segments, before, position, circles)]:
         x, y = before[i, 0], before[i, 1]
-        share = 0.5 * first_crossing(segments, x, y, position[i, 0], position[i, 1], buffer)
+        share = 0.5 * first_crossing(segments, x, y, position[i, 0], position[i, 1], buffer, drive)
         if share <= 0.5:
             to_x, to_y = x + share * (position[i, 0] - x), y + share * (position[i, 1] - y)
             # On the line but for rounding, it stays.
-            stays = first_crossing(segments, x, y, to_x, to_y, buffer) <= 1.0
+            stays = first_crossing(segments, x, y, to_x, to_y, buffer, drive) <= 1.0
             position[i, 0], position[i, 1] = (x, y) if stays else (to_x, to_y)
+
+
+@njit(cache=True, error_model="numpy")
+def hold_beside_moving(bodies, before, segments, drive, dt):
+    """`hold_beside` for the segments that move, which have for Δt, s."""
+    position, line = bodies.position, segments.line
+    for s in drive.moving:
+        for i in range(position.shape[0]):
+            x, y = carried(line, drive.wall, s, dt, before[i, 0], before[i, 1])
+            share = 0.5 * crossing(line[s], x, y, position[i, 0], position[i, 1])
+            if share <= 0.5 and bodies.mass[i] < math.inf:
+                to_x, to_y = x + share * (position[i, 0] - x), y + share * (position[i, 1] - y)
+                stays = crossing(line[s], x, y, to_x, to_y) <= 1.0
+                position[i, 0], position[i, 1] = (x, y) if stays else (to_x, to_y)
 
 
 @njit(cache=True, error_model="numpy")

@@ -22,6 +22,7 @@ from deep_contact.constants import POSITION_TOLERANCE
 from deep_contact.physics.collision import make_contacts, more_contacts, some_contacts
 from deep_contact.physics.contact_solver import INVERSE_MASS
 from deep_contact.physics.islands import root_of, unite
+from deep_contact.physics.segments import moves
 from deep_contact.state import Contacts
 
 STEADY = 0.02
@@ -65,6 +66,7 @@ def awake_contacts(contacts, sleep):
         if still[contacts.body_a[i]] < np.inf:
             buffer.body_a[m], buffer.body_b[m] = contacts.body_a[i], contacts.body_b[i]
             buffer.normal[m, 0], buffer.normal[m, 1] = contacts.normal[i, 0], contacts.normal[i, 1]
+            buffer.position[m, 0], buffer.position[m, 1] = contacts.position[i, 0], contacts.position[i, 1]
             buffer.separation[m] = contacts.separation[i]
             buffer.normal_start[m], buffer.tangent_start[m] = contacts.normal_start[i], contacts.tangent_start[i]
             m += 1
@@ -112,8 +114,12 @@ def look_at_places(sleep, position, dt, scales):
 
 
 @njit(cache=True)
-def wake_and_put_to_sleep(step, contacts, sleep):
-    """Let Δt pass, in place, for the stillness of circles and islands. contacts: those at the bodies' positions."""
+def wake_and_put_to_sleep(step, contacts, sleep, drive):
+    """Let Δt pass, in place, for the stillness of circles and islands. contacts: those at the bodies' positions.
+
+    A fixed circle is still where it does not move at all. What touches a segment that moves is awake. drive: of the
+    step.
+    """
     bodies, segments, scales = step.bodies, step.segments, step.scales
     still, parent, shortest = sleep.still, sleep.parent, sleep.shortest
     n = still.shape[0]
@@ -121,6 +127,8 @@ def wake_and_put_to_sleep(step, contacts, sleep):
         if still[i] < np.inf:
             speed = math.hypot(bodies.velocity[i, 0], bodies.velocity[i, 1])
             is_still = speed <= scales.sleep_speed and abs(bodies.spin[i]) <= scales.sleep_spin
+            if bodies.mass[i] == np.inf:
+                is_still = speed == 0.0 and bodies.spin[i] == 0.0
             still[i] = still[i] + step.dt if is_still else 0.0
     is_time = look_at_places(sleep, bodies.position, step.dt, scales)
     unite(contacts.body_a, contacts.body_b, parent)
@@ -134,6 +142,9 @@ def wake_and_put_to_sleep(step, contacts, sleep):
         is_restless = contacts.separation[k] < -POSITION_TOLERANCE * scales.slop or (
             s >= 0 and segments.line[s, 4] != 0.0
         )
+        if drive is not None:
+            if s >= 0 and moves(drive.wall, s):
+                shortest[root] = 0.0
         if is_restless and shortest[root] < np.inf:
             shortest[root] = 0.0
     for i in range(n):

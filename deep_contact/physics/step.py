@@ -10,7 +10,7 @@ from deep_contact.compiled import njit
 from deep_contact.physics.collision import Cells, make_cells, make_contacts
 from deep_contact.physics.contact_solver import Rows, make_rows
 from deep_contact.physics.position_correction import CorrectionRoom, make_correction_room
-from deep_contact.physics.segments import NO_SEGMENTS, Segments
+from deep_contact.physics.segments import NO_SEGMENTS, Segments, moves, wall_velocity
 from deep_contact.state import Bodies, Contacts
 from deep_contact.state.scales import ContactScales
 
@@ -22,11 +22,20 @@ class Motion(NamedTuple):
     reach: float  # m
 
 
+class Drive(NamedTuple):
+    """What is moved and pushed from outside, in scenes that have moving segments, fixed circles or pushes."""
+
+    wall: np.ndarray  # (S, 4): velocities of the ends of the segments, m/s
+    moving: np.ndarray  # (k,): the segments that move
+    force: np.ndarray  # (n, 2): on the circles beside gravity, N
+    torque: np.ndarray  # (n,): likewise, N·m
+
+
 class StepInput(NamedTuple):
     """What the steps read. None is a type of its own: what nothing in the scene requires is not compiled.
 
-    segments, restitution and motion are None where all of them are idle: see `with_rare`. Contacts carry the impulses
-    of a whole step, whatever it is divided into; a solve starts from 1 / parts of them.
+    segments, restitution and motion are None where all of them are idle: see `with_rare`. With a drive none is.
+    Contacts carry the impulses of a whole step, whatever it is divided into; a solve starts from 1 / parts of them.
     """
 
     bodies: Bodies  # they move in place
@@ -39,6 +48,7 @@ class StepInput(NamedTuple):
     parts: int  # of a step
     scales: ContactScales  # of the state that the steps begin with
     motion: Motion | None = None
+    drive: Drive | None = None  # its segments are the step's own: their lines move in place
 
 
 def with_rare(step: StepInput) -> StepInput:
@@ -108,13 +118,15 @@ class StepLog(NamedTuple):
     progress: np.ndarray  # (4,): `DONE`, `WORK`, `LAST_SWEEPS`, `WATCHED`
     loads: np.ndarray  # (4 + S, 2): the sum of all that walls and segments received, N·s; (0, 2) where nobody asks
     received: np.ndarray  # (k, 8): what pairs received in a step that is watched, sorted by `PAIR`: rebounds and solves
+    on_circles: np.ndarray  # (n, 2): the sum of what contacts gave to the circles, N·s; (0, 2) where nobody asks
+    work: np.ndarray  # (1,): the sum of what moving segments, fixed circles and pushes did, J
 
 
-def make_log(steps: int, loads: int = 0) -> StepLog:
-    """A log for so many steps, which one call may do all. loads: walls and segments, or 0."""
+def make_log(steps: int, loads: int = 0, circles: int = 0) -> StepLog:
+    """A log for so many steps, which one call may do all. loads, circles: walls and segments, and circles, or 0."""
     columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64, np.int64))
     progress = np.array([0, np.iinfo(np.int64).max, 0, 0])
-    return StepLog(*columns, progress, np.zeros((loads, 2)), np.zeros((0, 8)))
+    return StepLog(*columns, progress, np.zeros((loads, 2)), np.zeros((0, 8)), np.zeros((circles, 2)), np.zeros(1))
 
 
 def some_steps(log: StepLog, first: int, count: int, work: int, is_watched: bool) -> StepLog:
@@ -136,9 +148,55 @@ def log_part(log, k, contacts, sweeps, theta, relaxations):
 
 
 @njit(cache=True)
+def with_segments(step, segments):
+    """The input of a step with its segments elsewhere."""
+    return StepInput(
+        step.bodies, step.box, segments, step.gravity, step.friction, step.restitution, step.dt, step.parts,
+        step.scales, step.motion, step.drive,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def work_on(step, contacts, impulse):
+    """The work of moving segments and fixed circles, by the impulses on second bodies, (m, 2), N·s, in J.
+
+    Without that of surfaces that move (`World.surface_speeds`). contacts: at the positions of the circles.
+    """
+    bodies, drive, work = step.bodies, step.drive, 0.0
+    n = bodies.mass.shape[0]
+    for i in range(impulse.shape[0]):
+        a, b, x, y = contacts.body_a[i], contacts.body_b[i], contacts.position[i, 0], contacts.position[i, 1]
+        v_x, v_y, sign = 0.0, 0.0, -1.0
+        if b >= n:
+            if b >= n + 4 and moves(drive.wall, b - n - 4):
+                v_x, v_y = wall_velocity(step.segments.line, drive.wall, b - n - 4, x, y)
+        else:
+            fixed = b
+            if bodies.mass[a] == np.inf:
+                fixed, sign = a, 1.0
+            if bodies.mass[fixed] == np.inf:
+                v_x = bodies.velocity[fixed, 0] - bodies.spin[fixed] * (y - bodies.position[fixed, 1])
+                v_y = bodies.velocity[fixed, 1] + bodies.spin[fixed] * (x - bodies.position[fixed, 0])
+        work += sign * (impulse[i, 0] * v_x + impulse[i, 1] * v_y)
+    return work
+
+
+@njit(cache=True, error_model="numpy")
+def work_of_push(step, solver_bodies):
+    """The work of pushes in a step, J: by the means of the velocities before and after it."""
+    bodies, drive, work = step.bodies, step.drive, 0.0
+    for i in range(bodies.mass.shape[0]):
+        if bodies.mass[i] < np.inf:
+            v_x, v_y = bodies.velocity[i, 0] + solver_bodies[i, 0], bodies.velocity[i, 1] + solver_bodies[i, 1]
+            turn = bodies.spin[i] + solver_bodies[i, 2] / bodies.radius[i]
+            work += drive.force[i, 0] * v_x + drive.force[i, 1] * v_y + drive.torque[i] * turn
+    return 0.5 * step.dt * work
+
+
+@njit(cache=True)
 def is_asked(log):
     """Whether a log takes impulses."""
-    return log.loads.shape[0] > 0 or log.progress[WATCHED] != 0
+    return log.loads.shape[0] > 0 or log.on_circles.shape[0] > 0 or log.progress[WATCHED] != 0
 
 
 @njit(cache=True)
@@ -164,6 +222,12 @@ def log_impulses(log, received, contacts, impulse, n):
         if wall >= 0:
             log.loads[wall, 0] += impulse[i, 0]
             log.loads[wall, 1] += impulse[i, 1]
+    for i in range(m if log.on_circles.shape[0] > 0 else 0):
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        for axis in range(2):
+            log.on_circles[a, axis] -= impulse[i, axis]
+            if b < n:
+                log.on_circles[b, axis] += impulse[i, axis]
     if m == 0 or log.progress[WATCHED] == 0:
         return received
     received = with_pairs(received, contacts)

@@ -18,7 +18,7 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.physics.collision import circles_around, refresh_list, sort_into_cells, wall_gap
-from deep_contact.physics.segments import is_free, near_box, segment_gap
+from deep_contact.physics.segments import is_free, near_box, segment_gap, wall_velocity
 from deep_contact.physics.step import StepInput
 from deep_contact.state import WALL_NORMALS
 
@@ -28,35 +28,38 @@ def part_of(step, parts):
     """The input of one of so many parts of a substep. step: `StepInput` of the substep."""
     return StepInput(
         step.bodies, step.box, step.segments, step.gravity, step.friction, step.restitution, step.dt / parts,
-        step.parts * parts, step.scales, step.motion,
+        step.parts * parts, step.scales, step.motion, step.drive,
     )  # fmt: skip
 
 
 @njit(inline="always")
-def depart(step, part, contacts):
+def depart(step, part, contacts, drive):
     """Let circles in flight go on in parts of a substep, in place on their velocities. contacts: at their positions."""
     if step.restitution > 0.0:
-        shift_flights(step.bodies, contacts, step.gravity, step.dt - part.dt)
+        shift_flights(step.bodies, contacts, step.gravity, step.dt - part.dt, drive)
 
 
 @njit(inline="always")
-def rejoin(step, part, contacts):
+def rejoin(step, part, contacts, drive):
     """`depart` taken back, after the parts."""
     if step.restitution > 0.0:
-        shift_flights(step.bodies, contacts, step.gravity, part.dt - step.dt)
+        shift_flights(step.bodies, contacts, step.gravity, part.dt - step.dt, drive)
 
 
 @njit(cache=True, error_model="numpy")
-def parts_of(step, cells):
-    """Into how many parts motion divides the next substep: a power of two. step: `StepInput`. cells: `Cells`, used."""
+def parts_of(step, cells, drive):
+    """Into how many parts motion divides the next substep: a power of two. step: `StepInput`. cells: `Cells`, used.
+
+    drive: of the step.
+    """
     motion = step.motion
     if motion.most == 1 or step.bodies.mass.shape[0] == 0:
         return 1
     dt, slow = step.dt, motion.reach / step.dt
     pairs, walls = fastest_possible(step.bodies.velocity, step.gravity, dt)
     fastest = slow
-    if walls > slow:
-        fastest = fastest_onto_walls(step, fastest)
+    if walls + fastest_wall(drive) > slow:
+        fastest = fastest_onto_walls(step, fastest, drive)
     if pairs > slow and fastest * dt <= 0.5 * motion.most * motion.reach:  # otherwise it is the most already
         fastest = fastest_pair(step, cells, pairs * dt, fastest)
     parts = 1
@@ -77,14 +80,27 @@ def fastest_possible(velocity, gravity, dt):
     return math.hypot(x_max - x_min, y_max - y_min), math.hypot(x, y)
 
 
+@njit(cache=True)
+def fastest_wall(drive):
+    """The speed of the fastest end of a segment, m/s."""
+    speed = 0.0
+    if drive is not None:
+        for s in drive.moving:
+            for end in (0, 2):
+                speed = max(speed, math.hypot(drive.wall[s, end], drive.wall[s, end + 1]))
+    return speed
+
+
 @njit(cache=True, error_model="numpy")
-def fastest_onto_walls(step, fastest):
+def fastest_onto_walls(step, fastest, drive):
     """The fastest approach that closes the gap of a circle to a wall or a segment within Δt, m/s, or `fastest`."""
     bodies, box, segments, dt, skin = step.bodies, step.box, step.segments, step.dt, step.scales.wall_skin
-    buffer, start, grid = np.empty_like(segments.every), segments.start, segments.grid
+    buffer, start, grid, speed = np.empty_like(segments.every), segments.start, segments.grid, fastest_wall(drive)
     for i in range(bodies.mass.shape[0]):
         v_x, v_y = bodies.velocity[i, 0] + dt * step.gravity[0], bodies.velocity[i, 1] + dt * step.gravity[1]
-        if v_x * v_x + v_y * v_y <= fastest * fastest:
+        if speed == 0.0 and v_x * v_x + v_y * v_y <= fastest * fastest:
+            continue
+        if bodies.mass[i] == math.inf:
             continue
         x, y, reach = bodies.position[i, 0], bodies.position[i, 1], bodies.radius[i] + skin
         for wall in range(4):
@@ -92,12 +108,15 @@ def fastest_onto_walls(step, fastest):
             if approach > fastest and wall_gap(x, y, box, wall) - reach < approach * dt:
                 fastest = approach
         # What it closes within Δt lies within reach of where it comes in that time, at most.
-        far = dt * math.sqrt(v_x * v_x + v_y * v_y)
+        far = dt * (math.sqrt(v_x * v_x + v_y * v_y) + speed)
         if is_free(start, grid, x - far, x + far, y - far, y + far):
             continue
         for s in near_box(segments, x - far, x + far, y - far, y + far, buffer):
             gap, n_x, n_y = segment_gap(segments.line[s], x, y)
             approach = v_x * n_x + v_y * n_y
+            if drive is not None:
+                w_x, w_y = wall_velocity(segments.line, drive.wall, s, x, y)
+                approach -= w_x * n_x + w_y * n_y
             if approach > fastest and gap - reach < approach * dt:
                 fastest = approach
     return fastest
@@ -140,7 +159,7 @@ def fastest_of(step, a, near, first, last, fastest):
 
 
 @njit(cache=True)
-def shift_flights(bodies, contacts, gravity, change):
+def shift_flights(bodies, contacts, gravity, change, drive):
     """Let circles that touch nothing fly on as before where Δt becomes shorter by `change`, s, in place.
 
     Symplectic Euler is a leapfrog: velocities are those of half a step before. Without the shift each bounce, which is
@@ -149,6 +168,13 @@ def shift_flights(bodies, contacts, gravity, change):
     touched = np.zeros(bodies.mass.shape[0] + 1, np.bool_)
     for i in range(contacts.body_a.shape[0]):
         touched[contacts.body_a[i]] = touched[min(contacts.body_b[i], touched.shape[0] - 1)] = True
+    if drive is not None:
+        for i in range(bodies.mass.shape[0]):
+            if bodies.mass[i] == math.inf:
+                touched[i] = True
+            elif not touched[i]:
+                for axis in range(2):
+                    bodies.velocity[i, axis] += 0.5 * change * drive.force[i, axis] / bodies.mass[i]
     for i in range(bodies.mass.shape[0]):
         if not touched[i]:
             bodies.velocity[i, 0] += 0.5 * change * gravity[0]

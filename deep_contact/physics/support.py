@@ -36,12 +36,13 @@ def supported(state, problem) -> tuple[np.ndarray, np.ndarray]:
     gravity, m = np.array(state.world.gravity), state.contacts.count
     if not gravity.any():
         return np.zeros(m), np.zeros(m)
-    height = np.append(state.bodies.position @ -gravity, np.full(4, -np.inf))
-    rows, velocities = problem.rows, problem.solver_bodies.copy()
+    rows, velocities, n = problem.rows, problem.solver_bodies.copy(), state.bodies.count
+    height = np.full(len(velocities), -np.inf)
+    height[:n] = np.where(state.bodies.is_fixed, -np.inf, state.bodies.position @ -gravity)
     still = velocities.copy()
-    still[: state.bodies.count, :V_S] = state.bodies.velocity  # before gravity
+    still[:n, :V_S] = state.bodies.velocity  # before gravity
     impulse = np.zeros((m, 2))
-    order = np.argsort(-height[:-4], kind="stable")
+    order = np.argsort(-height[:n], kind="stable")
     hand_down(rows.body, rows.data, problem.friction, velocities, still, height, order, impulse)
     return impulse[:, NORMAL].copy(), impulse[:, TANGENT].copy()
 

@@ -1,10 +1,10 @@
-"""The state of a simulation: `World` (what never moves), `Bodies`, `Contacts`, and the `State` that holds them.
+"""The state of a simulation: `World` (walls and constants), `Bodies`, `Contacts`, and the `State` that holds them.
 
 Conventions, said once, here:
 
 * SI units; an impulse λ is in N·s. Physics is float64.
 * The n circles are bodies 0 … n-1. The box is one static body; its walls are numbered n + 0 (floor),
-  n + 1 (right), n + 2 (ceiling) and n + 3 (left), so that two contacts of one circle in a corner differ. The static
+  n + 1 (right), n + 2 (ceiling) and n + 3 (left), so that two contacts of one circle in a corner differ. The
   segments of `World.segments` follow, from n + 4 on.
 * A contact joins `body_a` < `body_b`. Its unit normal points from a to b, its tangent is (n_y, -n_x); relative
   velocity is b minus a; a negative separation is penetration. The contact point lies in the middle of the overlap.
@@ -49,6 +49,7 @@ LIMITS = {
     "world.box": (-1e12, 1e12, "m"),
     "world.segments": (-1e12, 1e12, "m"),
     "world.surface_speeds": (-1e10, 1e10, "m/s"),
+    "world.segment_velocities": (-1e10, 1e10, "m/s"),
     "world.gravity": (-1e6, 1e6, "m/s²"),
     "world.friction": (0.0, 1e12, ""),
     "dt": (1e-9, 1.0, "s"),
@@ -81,8 +82,11 @@ class Bodies(NamedTuple):
     | velocity | of the centre                   | (n, 2) | m/s   |
     | angle    | orientation, counter-clockwise  | (n,)   | rad   |
     | spin     | angular velocity ω              | (n,)   | rad/s |
-    | mass     |                                 | (n,)   | kg    |
+    | mass     | infinite: a fixed circle        | (n,)   | kg    |
     | radius   |                                 | (n,)   | m     |
+
+    A fixed circle moves by its own velocity and spin, which nothing changes: at 0 it is a peg, else a roller. Fixed
+    circles, walls and segments have no contacts among themselves.
     """
 
     position: np.ndarray
@@ -104,6 +108,16 @@ class Bodies(NamedTuple):
         """Moment of inertia of a solid disc, m r² / 2, shape (n,), kg·m²."""
         # m r² first: half of the smallest mass is 0, and 0 times an infinite r² would be no number.
         return 0.5 * (self.mass * self.radius**2)
+
+    @property
+    def is_fixed(self) -> np.ndarray:
+        """Whether a circle is fixed, (n,)."""
+        return np.isinf(self.mass)
+
+    @property
+    def free_mass(self) -> np.ndarray:
+        """Masses for sums over momentum and energy, (n,), kg: 0 for fixed circles, which belong to the walls."""
+        return np.where(self.is_fixed, 0.0, self.mass)
 
     def _repr_html_(self) -> str:
         return notebook.arrays_shown(notebook.counted(self.count, "circle"), self._asdict())
@@ -154,20 +168,23 @@ class Contacts(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """What never moves: the box, and the constants that hold for every contact.
+    """The box, segments, and the constants that hold for every contact.
 
     box: (x_min, y_min, x_max, y_max), m. gravity: (g_x, g_y), m/s². friction: Coulomb's μ. restitution: Newton's e,
     felt above (1 − e²) times the scales' threshold (`physics.impacts`). scales: `ContactScales` that hold whatever the
     scene; by default None, they follow it (`State.scales`), and a circle more or less changes them by what it changes
     the mean radius.
 
-    segments: any number of ((x, y), (x, y)), m: static lines beside the box, felt from both sides and at their ends,
+    segments: any number of ((x, y), (x, y)), m: lines beside the box, felt from both sides and at their ends,
     with the skin of the walls (edge shapes of Box2D). An end that lies on another one or on a wall, to 1e-4 of the
     circle's radius, is not felt: a circle rolls over the joint as over a chain of Box2D, and so it does over a gap of a
     fiftieth of its radius. Kept as (x_0, y_0, x_1, y_1) each.
 
     surface_speeds: of the segments, m/s each, towards their second ends: a belt, or the wall of a drum that turns. The
     segment stays where it is, and friction drags what touches it. () where all surfaces rest.
+
+    segment_velocities: of the ends of the segments, (S, 2, 2), m/s. A segment moves by them in every step, pushes and
+    drags what it touches: the world of the next state has it elsewhere. Kept as the segments are; () where all rest.
     """
 
     box: tuple[float, float, float, float] = (0.0, 0.0, 30.0, 30.0)
@@ -177,6 +194,7 @@ class World:
     scales: ContactScales | None = None
     segments: Sequence = ()
     surface_speeds: Sequence = ()
+    segment_velocities: Sequence = ()
 
     def __post_init__(self):
         from deep_contact.state.checks import checked_world
@@ -201,6 +219,8 @@ class State:
     hold the impulses carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does
     the step from `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.
     `load` is what the impulses were solved for (`physics.load`), or None where that is unknown, as in a file.
+    `push` is what acts on the circles in the step from here, beside gravity: forces (n, 2), N, and torques (n,), N·m;
+    or None. Runs set it (`simulate(push=…)`), and no file has it.
 
     States are equal if all numbers and settings are. The fields cannot be set; nothing in this package writes into the
     arrays of a state that it is given, or hands out arrays that a later step writes into.
@@ -216,6 +236,7 @@ class State:
     solver: object = None
     solved: bool = False
     load: tuple[int, int] | None = field(default=None, compare=False)
+    push: tuple[np.ndarray, np.ndarray] | None = field(default=None, compare=False)
 
     def __post_init__(self):
         if not isinstance(self.bodies, Bodies):
@@ -236,9 +257,13 @@ class State:
         """A copy with some fields changed.
 
         Raises ValueError where contacts are kept that would become those of other bodies: of another number of circles,
-        or of another segment.
+        or of another segment. Warns where a segment is put elsewhere in the course of a run.
         """
         changed = replace(self, **changes)
+        if self.step > 0 and "world" in changes:
+            from deep_contact.state.checks import warn_of_jumps
+
+            warn_of_jumps(self.world, changed.world)
         if self.contacts is not None and "contacts" not in changes and ("bodies" in changes or "world" in changes):
             from deep_contact.state.checks import check_kept_contacts
 
@@ -257,14 +282,17 @@ class State:
         n, removed = self.bodies.count, checked_indices("remove", remove, self.bodies.count)
         stays = np.delete(np.arange(n), removed)
         parts = [[values[stays] for values in self.bodies], *([check_bodies(add)] if add is not None else [])]
-        bodies = Bodies(*map(np.concatenate, zip(*parts)))
+        bodies, push = Bodies(*map(np.concatenate, zip(*parts))), None
+        if self.push is not None:
+            new = bodies.count - len(stays)
+            push = tuple(np.concatenate([p[stays], np.zeros((new, *p.shape[1:]))]) for p in self.push)
         if self.contacts is None:
-            return self.replace(bodies=bodies)
+            return self.replace(bodies=bodies, push=push)
         index = np.arange(n + 4 + len(self.world.segments)) + bodies.count - n
         index[removed], index[stays] = -1, np.arange(len(stays))
         a, b = (index[body] for body in self.contacts[:2])
         kept = Contacts(*(values[(a >= 0) & (b >= 0)] for values in (a, b, *self.contacts[2:])))
-        return find_contacts(self.replace(bodies=bodies, contacts=kept, solved=False))
+        return find_contacts(self.replace(bodies=bodies, contacts=kept, solved=False, push=push))
 
     def __repr__(self) -> str:
         return f"State({self.name!r}, {', '.join(self._summary().values())})"

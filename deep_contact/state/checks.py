@@ -12,16 +12,30 @@ import numpy as np
 
 from deep_contact.state import LIMITS, Bodies, Contacts, State, World
 from deep_contact.state.scales import ContactScales
-from deep_contact.validation import brief, expect, flag, floats, integer, number, real_numbers, refuse_where, several
+from deep_contact.validation import (
+    brief,
+    expect,
+    flag,
+    floats,
+    integer,
+    number,
+    real_numbers,
+    refuse_where,
+    several,
+    warn,
+)
 
 UNIT = 1e-4
 """Largest deviation of the length of a normal from 1."""
 
 
-def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None) -> Bodies:
+def make_bodies(
+    position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None, fixed=False
+) -> Bodies:
     """Circles from their centres; everything else is one value for all, or one for each.
 
     position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. density: kg/m², used where `mass` (kg) is None.
+    fixed: True for circles that nothing stops or turns: they get an infinite mass (`Bodies`).
     Raises ValueError naming the field, the body and the value.
     """
     places = real_numbers(position)
@@ -35,6 +49,9 @@ def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, dens
         mass = _for_each("density", density, (n,)) * np.pi * radius**2
     velocity = _for_each("velocity", velocity, (n, 2))
     angle, spin, mass = (_for_each(*one, (n,)) for one in (("angle", angle), ("spin", spin), ("mass", mass)))
+    flags = np.asarray(fixed)
+    expect(flags.dtype == bool and flags.shape in ((), (n,)), f"fixed: expected {n} flags, or one, got {brief(fixed)}")
+    mass = np.where(flags, np.inf, mass)
     return check_bodies(Bodies(position, velocity, angle, spin, mass, radius))
 
 
@@ -56,6 +73,7 @@ def checked_world(world: World) -> dict:
         "box": box, "segments": segments, "scales": _checked_scales(world.scales),
         "gravity": several("gravity", world.gravity, 2, expected="finite numbers, such as (0, -9.81)"),
         "surface_speeds": _checked_speeds(world.surface_speeds, len(segments)),
+        "segment_velocities": _checked_velocities(world.segment_velocities, len(segments)),
         "friction": number("friction", world.friction, low=0),
         "restitution": number("restitution", world.restitution, low=0, high=1),
     }  # fmt: skip
@@ -116,6 +134,26 @@ def check_kept_contacts(before: State, after: State) -> None:
     for k in np.unique(contacts.body_b[contacts.body_b >= n + 4]) - (n + 4) if len(old) != len(new) else ():
         expected = f"segments[{k}]: expected {old[k]}, which has contacts"
         expect(tuple(new[k : k + 1]) == (old[k],), f"{expected}, got another{hint.partition(',')[0]}")
+
+
+def warn_of_jumps(before: World, after: World) -> bool:
+    """Warn where a segment is put elsewhere without a velocity. Returns whether one is."""
+    for old, new, velocity in zip(before.segments, after.segments, after.segment_velocities or after.segments):
+        if old != new and not (after.segment_velocities and any(velocity)):
+            warn("segments: a segment that is put elsewhere jumps, and pushes nothing; segment_velocities move it")
+            return True
+    return False
+
+
+def checked_push(push, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Forces, (n, 2), N, and torques, (n,), N·m, from forces alone, or from a tuple of both. Raises ValueError."""
+    both = push if isinstance(push, tuple) and len(push) == 2 else (push, np.zeros(count))
+    arrays = [real_numbers(values) for values in both]
+    shapes = [getattr(values, "shape", None) for values in arrays]
+    if shapes != [(count, 2), (count,)] or not all(np.isfinite(values).all() for values in arrays):
+        expected = f"forces ({count}, 2), N, or a tuple of them and torques ({count},), N·m, of finite numbers"
+        raise ValueError(f"push: expected {expected}, got {brief(push)}")
+    return tuple(np.array(values, np.float64) for values in arrays)
 
 
 def checked_indices(name: str, which, count: int) -> np.ndarray:
@@ -181,6 +219,8 @@ def beyond_limits(**parts) -> Iterator[str]:
         owner, _, field = name.partition(".")
         if (part := parts.get(owner)) is not None:
             values = np.asarray(getattr(part, field) if field else part)
+            if name == "bodies.mass":
+                values = np.where(np.isposinf(values), high, values)  # those of fixed circles
             for at in np.argwhere(~((values >= low) & (values <= high)))[:1].tolist():
                 expected = f"{low:g} to {high:g} {unit}".rstrip()
                 yield f"{name}{at or ''}: expected {expected}, got {values[tuple(at)]}"
@@ -207,6 +247,14 @@ def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
     count = 0 if np.array_equal(speeds, []) else count
     checked = several("surface_speeds", speeds, count, expected="finite numbers, m/s, one a segment")
     return checked if any(checked) else ()
+
+
+def _checked_velocities(velocities, count: int) -> tuple[tuple[float, ...], ...]:
+    numbers = real_numbers(velocities)
+    fits = numbers is not None and (numbers.size == 0 or numbers.shape in ((count, 2, 2), (count, 4)))
+    expected = f"those of both ends of {count} segments, ((v_x, v_y), (v_x, v_y)), m/s"
+    expect(fits and np.isfinite(numbers).all(), f"segment_velocities: expected {expected}, got {brief(velocities)}")
+    return tuple(map(tuple, numbers.reshape(-1, 4).tolist())) if numbers.any() else ()
 
 
 def _checked_scales(scales) -> ContactScales | None:
@@ -239,4 +287,8 @@ def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
         fits = index.shape == shape and (np.issubdtype(index.dtype, np.integer) or index.size == 0)
         expect(fits, f"{owner}.{name}: expected integers of shape {shape}, got {index.dtype}, {index.shape}")
         return index.astype(np.int64)
-    return floats(f"{owner}.{name}", value, shape)
+    if name != "mass":
+        return floats(f"{owner}.{name}", value, shape)
+    numbers = real_numbers(value)  # a fixed circle has an infinite one
+    is_fixed = np.isposinf(numbers) if numbers is not None and numbers.shape == shape else False
+    return np.where(is_fixed, np.inf, floats(f"{owner}.{name}", np.where(is_fixed, 1.0, value), shape))

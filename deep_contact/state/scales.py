@@ -95,6 +95,7 @@ def theta_tolerance(mass, radius, gravity, dt: float) -> float:
     mass: (n,), kg. radius: (n,), m. gravity: (g_x, g_y), m/s². dt: s.
     """
     felt, thesis_dt = math.hypot(*gravity), constants.TIME_STEP
+    mass = mass[np.isfinite(mass)]  # without fixed circles
     # In this order the thesis's scene is divided by itself: 1 exactly.
     if felt > 0.0:
         return constants.THETA_TOLERANCE * (mean(mass) * felt * dt / (math.pi * _GRAVITY * thesis_dt))

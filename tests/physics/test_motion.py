@@ -52,7 +52,7 @@ def test_the_number_of_parts_is_that_of_the_fastest_approach_of_all(speed, segme
         wanted = fastest_approach(state) * state.dt / (0.02 * state.bodies.radius.mean())
         given = step_input(ready(state), MOTION)
         expected = 1 if wanted <= 1 else min(16, 2 ** math.ceil(math.log2(wanted)))
-        assert parts_of(given, cells) == expected
+        assert parts_of(given, cells, None) == expected
 
 
 @pytest.mark.parametrize("height", [2.0, 5.0, 20.0])
@@ -116,5 +116,5 @@ def test_a_change_of_the_step_shifts_only_what_touches_nothing():
     # v(t − Δt / 2) of the leapfrog: half of g times the change, but for two circles in contact and one on the floor.
     centres = [[2.0, 5.0], [4.0, 5.0], [8.0, 1.0], [6.0, 8.0]]
     state = ready(circles_at(centres, velocity=np.ones((4, 2)), box=(0, 0, 10, 10)))
-    shift_flights(state.bodies, state.contacts, (2.0, -10.0), 0.01)
+    shift_flights(state.bodies, state.contacts, (2.0, -10.0), 0.01, None)
     np.testing.assert_allclose(state.bodies.velocity, [[1, 1], [1, 1], [1, 1], [1.01, 0.95]], rtol=1e-15)

@@ -73,7 +73,7 @@ def still_after_a_step(scene, still):
     scene = scene.replace(contacts=contacts_of(scene))
     sleep = make_sleep_memory(1, 4)
     sleep.still[:], sleep.place[:] = still, scene.bodies.position
-    wake_and_put_to_sleep(with_rare(step_input(scene, dc.PGS())), scene.contacts, sleep)
+    wake_and_put_to_sleep(with_rare(step_input(scene, dc.PGS())), scene.contacts, sleep, None)
     return sleep.still[0]
 
 

@@ -36,10 +36,20 @@ from deep_contact.physics.position_correction import (
     fill_centres,
     take_centres,
 )
-from deep_contact.physics.segments import positions_before
+from deep_contact.physics.segments import moved_segments, positions_before
 from deep_contact.physics.solvers.pgs import PGS
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
-from deep_contact.physics.step import DONE, WORK, impulses_of, is_asked, log_impulses, log_part
+from deep_contact.physics.step import (
+    DONE,
+    WORK,
+    impulses_of,
+    is_asked,
+    log_impulses,
+    log_part,
+    with_segments,
+    work_of_push,
+    work_on,
+)
 from deep_contact.physics.substeps import depart, part_of, parts_of, rejoin
 from deep_contact.validation import expect
 
@@ -197,19 +207,23 @@ def contacts_in(room):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance_in_batches(step, options, log, room):
+def advance_in_batches(step, options, log, room, drive):
     """`engine.advance` for `BatchedPGS`. The contacts are left in `room`, a `Room`."""
+    if drive is not None:
+        step = with_segments(step, moved_segments(step.segments, drive, 0.0))
     part, turn, buffers = step, 0, room.memory.contacts
     for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
         if step.motion.most > 1:
-            part = part_of(step, parts_of(step, room.memory.cells))
+            part = part_of(step, parts_of(step, room.memory.cells, drive))
             if part.parts > step.parts:
-                depart(step, part, room.contacts)
+                depart(step, part, room.contacts, drive)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
-            do_part_in_batches(part, options, room, buffers[turn], log, j // step.parts)
+            segments = do_part_in_batches(part, options, room, buffers[turn], log, j // step.parts, drive)
+            if drive is not None:
+                part, step = with_segments(part, segments), with_segments(step, segments)
         if part.parts > step.parts:
-            rejoin(step, part, room.contacts)
+            rejoin(step, part, room.contacts, drive)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
@@ -218,8 +232,11 @@ def advance_in_batches(step, options, log, room):
 
 
 @njit(inline="always")
-def do_part_in_batches(part, options, room, buffer, log, k):
-    """`engine.do_part`: velocities, positions, and the contacts that the next part solves, in the buffer."""
+def do_part_in_batches(part, options, room, buffer, log, k, drive):
+    """`engine.do_part`: velocities, positions, and the contacts that the next part solves, in the buffer.
+
+    Returns the segments after it.
+    """
     bodies, box, segments, scales = part.bodies, part.box, part.segments, part.scales
     n, theta, cells, is_built = bodies.mass.shape[0], room.memory.theta, room.memory.cells, room.memory.is_built
     plan_part(part, room)
@@ -230,32 +247,40 @@ def do_part_in_batches(part, options, room, buffer, log, k):
         take_velocities(room.memory.solver_bodies, velocities)
     else:
         impacts = log.loads[:0]
-        if is_asked(log):
+        if is_asked(log) or drive is not None:
             impacts = np.zeros((solved.body_a.shape[0], 2))
-        rebound(part, solved, impacts)
+        work = rebound(part, solved, impacts, drive)
+        if drive is not None:
+            log.work[0] += work + work_on(part, solved, impacts)
         room.received = log_impulses(log, room.received, solved, impacts, n)
-        integrate_velocities(bodies, part.gravity, part.dt, velocities)
+        integrate_velocities(bodies, part.gravity, part.dt, velocities, drive)
     fill_centres(bodies, tiles.centre[:n])
-    start_blocks(part, solved, plan, tiles, room.memory.rows, is_built)
+    start_blocks(part, solved, plan, tiles, room.memory.rows, is_built, drive)
     sweeps = relax_tiles(options.settings, plan, tiles, part.friction, theta)
     if sweeps > 0 and not all_finite(velocities):
         theta[sweeps - 1] = np.nan
     for block in range(plan.count[BLOCKS]):
         batches.store_block(plan, tiles, solved, block, part.parts)
+    if drive is not None:
+        log.work[0] += work_on(part, solved, impulses_of(solved, 1.0 / part.parts)) + work_of_push(part, velocities)
+        batches.move_points(plan, tiles, part.dt)
+        segments = moved_segments(segments, drive, part.dt)
     # Positions.
     before = positions_before(bodies, segments)
-    integrate_positions(bodies, velocities, part, segments)
+    integrate_positions(bodies, velocities, part, segments, drive)
     correct_positions_in_batches(plan, tiles, bodies, scales, options.position_sweeps)
     log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
     if is_asked(log):
         room.received = log_impulses(log, room.received, solved, impulses_of(solved, 1.0 / part.parts), n)
     # The contacts that the next part or step solves. Logs and impacts read all geometry; tiles, that of walls.
-    least = 0 if part.restitution > 0.0 or is_asked(log) else n
+    least = 0 if part.restitution > 0.0 or is_asked(log) or drive is not None else n
     position, radius, skin = bodies.position, bodies.radius, scales.wall_skin
-    collision.hold(bodies, before, box, segments, skin, solved)
+    collision.hold(bodies, before, box, segments, skin, solved, drive, part.dt)
     collision.refresh_list(position, radius, cells, 0.0)
-    room.contacts = collision.contacts_at(position, radius, box, segments, skin, cells, buffer, least)
+    mass = collision.mass_if_fixed(bodies, drive)
+    room.contacts = collision.contacts_at(position, radius, mass, box, segments, skin, cells, buffer, least)
     collision.carry_impulses(solved, room.contacts, options.carry)
+    return segments
 
 
 @njit(cache=True)
@@ -277,10 +302,10 @@ def plan_part(part, room):
 
 
 @njit(cache=True, error_model="numpy")
-def start_blocks(step, contacts, plan, tiles, rows, is_built):
+def start_blocks(step, contacts, plan, tiles, rows, is_built, drive):
     """The rows of all blocks and what they start from, block by block, since that changes velocities."""
     for k in plan.order[: plan.count[BLOCKS]]:
-        batches.place_block(step, contacts, plan, tiles, k, rows, is_built)
+        batches.place_block(step, contacts, plan, tiles, k, rows, is_built, drive)
         begin, end = plan.first[k], plan.first[k + 1]
         if not is_built and batches.fill_rows(tiles, begin, end):
             batches.part_coinciding(tiles, begin, end)
@@ -291,15 +316,15 @@ class _Run:
     """`engine.advance` for a run."""
 
     def __init__(self, solver: BatchedPGS):
-        self._room, self._go_on = None, Direct(go_on)
-        self._steps, self._contacts_in = Direct(advance_in_batches), Direct(contacts_in)
+        self._room, self._go_on, self._contacts_in = None, Direct(go_on), Direct(contacts_in)
+        self._plain, self._driven = Direct(advance_in_batches), Direct(advance_in_batches)
 
-    def __call__(self, step, motion, contacts, sleep, options, memory, log):
+    def __call__(self, step, motion, contacts, sleep, options, memory, log, drive):
         """As `engine.advance`."""
         if self._room is None:
             self._room = make_room(contacts, memory)
         self._go_on(self._room, contacts, memory, log.received)
-        self._steps(step, options, log, self._room)
+        (self._plain if drive is None else self._driven)(step, options, log, self._room, drive)
         return self._contacts_in(self._room)
 
 

@@ -50,10 +50,10 @@ def relax_nesterov(settings, rows, friction, solver_bodies, theta, workspace):
     As in `relax_nncg`, velocities are extrapolated with the impulses, and the last sweep is not.
     """
     impulse, velocity = rows.impulse.reshape(rows.impulse.size), solver_bodies.reshape(solver_bodies.size)
-    if impulse.size > workspace.last_impulse.size:
+    if impulse.size > workspace.last_impulse.size or velocity.size > workspace.last_velocity.size:
         workspace = make_directions(rows, solver_bodies)
     last_impulse, swept_from = workspace.last_impulse[: impulse.size], workspace.along[: impulse.size]
-    last_velocity = workspace.last_velocity
+    last_velocity = workspace.last_velocity[: velocity.size]
     last_impulse[:] = impulse
     swept_from[:] = impulse
     last_velocity[:] = velocity

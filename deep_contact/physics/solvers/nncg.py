@@ -55,10 +55,10 @@ def relax_nncg(settings, rows, friction, solver_bodies, theta, workspace):
     """
     # Flat views, so that the loops over all numbers vectorise.
     impulse, velocity = rows.impulse.reshape(rows.impulse.size), solver_bodies.reshape(solver_bodies.size)
-    if impulse.size > workspace.last_impulse.size:
+    if impulse.size > workspace.last_impulse.size or velocity.size > workspace.last_velocity.size:
         workspace = make_directions(rows, solver_bodies)
     last_impulse, along = workspace.last_impulse[: impulse.size], workspace.along[: impulse.size]
-    last_velocity, velocity_along = workspace.last_velocity, workspace.velocity_along
+    last_velocity, velocity_along = workspace.last_velocity[: velocity.size], workspace.velocity_along[: velocity.size]
     reset(impulse, last_impulse, along)
     reset(velocity, last_velocity, velocity_along)
     last_size = np.inf
