@@ -105,7 +105,7 @@ def observe(
     own: dict[str, list | str] = {name: [] for name in quantities}
     for state in states:
         own = {name: with_next(name, quantity, state, own[name]) for name, quantity in quantities.items()}
-        bodies = state.bodies
+        bodies = state.bodies._replace(mass=state.bodies.free_mass)
         g, r, mass = float(np.hypot(*state.world.gravity)), float(bodies.radius.mean()), float(bodies.mass.sum())
         up, low, high = -np.array(state.world.gravity) / (g or 1.0), state.world.box[:2], state.world.box[2:]
         squares = (bodies.velocity**2).sum(axis=1)

@@ -102,7 +102,7 @@ def input_image(state: State, spec: ImageSpec) -> np.ndarray:
     """
     state = with_contacts(state)
     bodies, contacts = state.bodies, state.contacts
-    motion = np.column_stack([bodies.mass, bodies.velocity, bodies.spin])
+    motion = np.column_stack([bodies.free_mass, bodies.velocity, bodies.spin])
     parts = (bodies.position, motion), (contacts.position, contacts.normal[:, :1])
     return np.concatenate([spec.splat(state.world, *part) for part in parts], axis=2)
 

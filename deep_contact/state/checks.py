@@ -138,8 +138,10 @@ def check_kept_contacts(before: State, after: State) -> None:
 
 def warn_of_jumps(before: World, after: World) -> bool:
     """Warn where a segment is put elsewhere without a velocity. Returns whether one is."""
-    for old, new, velocity in zip(before.segments, after.segments, after.segment_velocities or after.segments):
-        if old != new and not (after.segment_velocities and any(velocity)):
+    count = len(after.segments) if len(before.segments) == len(after.segments) else 0  # others have come or gone
+    for k in range(count):
+        is_still = not after.segment_velocities or not any(after.segment_velocities[k])
+        if before.segments[k] != after.segments[k] and is_still:
             warn("segments: a segment that is put elsewhere jumps, and pushes nothing; segment_velocities move it")
             return True
     return False
