@@ -65,9 +65,7 @@ def scene_numbers(state: State) -> SceneNumbers:
     gravity = math.hypot(g_x, g_y)
     up = (-g_x / gravity, -g_y / gravity) if gravity > 0.0 else (0.0, 0.0)
     speeds = [abs(speed) for speed in world.surface_speeds]
-    *measured, fastest, squares, height, width = _measured(
-        free.position, free.velocity, free.mass, free.radius, up
-    )
+    *measured, fastest, squares, height, width = _measured(free.position, free.velocity, free.mass, free.radius, up)
     fastest = max(fastest, *driven, 0.0)
     return SceneNumbers(
         bodies.count, state.dt, gravity, world.friction, world.restitution, any(speeds), mean(bodies.radius), *measured,
