@@ -178,6 +178,18 @@ def test_work_is_the_change_of_energy_and_what_contacts_dissipate():
     np.testing.assert_allclose(run.trajectory.dissipated, taken, atol=1e-9 * turned)
 
 
+def test_a_chute_of_glued_grains_gives_no_energy():
+    x = np.arange(0.0, 12.0, 0.35)
+    glued = dc.make_bodies(np.column_stack([x, 7.0 - 0.45 * x]), radius=0.2, fixed=True)
+    x, layer = map(np.ravel, np.meshgrid(np.arange(0.5, 4.0, 0.5), np.arange(3)))
+    grains = dc.make_bodies(np.column_stack([x, 8.2 - 0.45 * x + 0.5 * layer]), radius=0.2)
+    scene = circles_at([[28.5, 1.01]], box=(-1.0, 0.0, 30.0, 15.0), friction=0.5).with_bodies(add=glued)
+    run = dc.simulate(scene.with_bodies(add=grains), steps=300, solver=PGS, record=20)
+    assert run.trajectory.dissipated.sum() > 10.0
+    assert run.trajectory.dissipated.min() > -1e-9  # J; rounding in free fall
+    assert np.abs(run.state.bodies.velocity).max() < math.sqrt(2.0 * 9.81 * 8.5)
+
+
 def test_what_a_fast_wall_sweeps_stays_in_front_of_it():
     # 50 m/s are a diameter in a step: unseen, the wall would be behind the circle at the next.
     scene = circles_at([[0.9, 0.0], [2.2, 0.3]], radius=0.25, **plate((50.0, 0.0), at=(0.2, 0.0)), **FREE)
