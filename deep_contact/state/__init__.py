@@ -260,7 +260,7 @@ class State:
         or of another segment. Warns where a segment is put elsewhere in the course of a run.
         """
         changed = replace(self, **changes)
-        if self.step > 0 and isinstance(changes.get("world"), World):
+        if self.step > 0 and isinstance(changes.get("world"), World) and "bodies" not in changes:
             from deep_contact.state.checks import warn_of_jumps
 
             warn_of_jumps(self.world, changed.world)
