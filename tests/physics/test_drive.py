@@ -90,16 +90,6 @@ def test_a_ball_on_a_plate_that_oscillates_bounces_as_by_events():
     np.testing.assert_allclose(apexes, expected, atol=3e-4)
 
 
-@pytest.mark.slow
-def test_fifty_bounces_in_the_stable_orbit_of_a_plate():
-    # A ω² sin φ < 2 g (1 + e²) / (1 + e)²: errors of a hit die out (Guckenheimer and Holmes 1982).
-    size, omega, phase = 0.08, 4.0 * math.pi, 0.6 - math.pi  # it falls for half a period
-    height = lambda t: size * math.sin(omega * t + phase)  # noqa: E731
-    speed = lambda t: size * omega * math.cos(omega * t + phase)  # noqa: E731
-    apexes, expected = bounced(height, speed, top=0.36, restitution=0.5, bounces=50, dt=2e-4)
-    np.testing.assert_allclose(apexes, expected, atol=2e-3)
-
-
 def test_fixed_circles_stay_and_carry_and_have_no_contacts_among_themselves():
     pegs = circles_at([[4.0, 1.0], [5.9, 1.0], [4.95, 2.75]], fixed=[True, True, False], friction=0.5)
     assert pegs.bodies.is_fixed.tolist() == [True, True, False]
