@@ -361,8 +361,8 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     ],
     "README.md": [
         ("pymunk takes {:.1f} to {:.1f} times as long", rivals),
-        ("with it compiled natively the range is {:.1f} to {:.1f}", rivals_with_native),
-        ("on terrain, in drums and in hoppers {:.1f} to {:.1f}", lambda: walls()[:2]),
+        ("compiled natively the range is {:.1f} to {:.1f}", rivals_with_native),
+        ("on terrain, in drums and in hoppers {:.1f} to {:.1f} times", lambda: walls()[:2]),
     ],
     "other_starts.md": [
         (

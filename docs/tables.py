@@ -123,7 +123,39 @@ def interval_of(value: float | None, low: float | None, high: float | None) -> s
 def rivals() -> list[list]:
     """How many times as long as ours the fastest other engine takes for a preset on plain piles, and of how many settings."""
     times, tried = ratios(stored("figure_6_1")["data"]["presets"]), settings_tried()
-    return [["circles", *PRESETS, "settings, ours / theirs"], *([f"{n:,}", *row, tried[n]] for n, row in times.items())]
+    head = ["circles", *PRESETS, f"settings: {' / '.join(next(iter(tried.values())))}"]
+    return [head, *([f"{n:,}", *row, " / ".join(map(str, tried[n].values()))] for n, row in times.items())]
+
+
+def rivals_short() -> list[list]:
+    """`rivals` without ranges and settings."""
+    return [[cell.partition(" (")[0] if cell else cell for cell in row[:-1]] for row in rivals()]
+
+
+def live() -> list[list]:
+    """A step as users step, alone and beside a busy process on each of two cores; and the fastest other engine."""
+    runs = stored("benchmark_live")["data"]["runs"]
+    us = {(run["n_bodies"], run["busy"]): run["us"] for run in runs}
+    ours = {"one call": "one call", "Simulator": "`Simulator.step()`", "on_step": "with `on_step`"}
+    rows = [["circles", *ours.values(), "fastest other engine", "`Simulator`, busy cores", "fastest other, busy cores"]]
+    for n in dict.fromkeys(run["n_bodies"] for run in runs):
+        quiet, busy = us[n, 0], us[n, 2]
+        others = [name for name in quiet if name in ("Box2D 2.3", "Box2D v3", "pymunk")]
+        best = min(others, key=lambda name: quiet[name][0])
+        cells = [_us(quiet[name][0]) for name in ours]
+        beside = [_us(busy["Simulator"][1]), _us(min(busy[name][1] for name in others))]
+        rows.append([f"{n:,}", *cells, f"{_us(quiet[best][0])} ({best})", *beside])
+    return rows
+
+
+def _us(us: float) -> str:
+    return f"{us:,.1f}" if us < 20 else f"{us:,.0f}"
+
+
+def first_calls() -> list[list]:
+    """Seconds from the start of a process to the first step, once the code is compiled."""
+    found = stored("benchmark_live")["data"]["first"]
+    return [["scene", "first call, s"], *([name, f"{seconds:.2f}"] for name, seconds in found.items())]
 
 
 def kinds() -> list[list]:
@@ -162,13 +194,13 @@ def ratios(found: list[dict]) -> dict[int, list]:
     return {n: [of[n, preset] for preset in PRESETS] for n in dict.fromkeys(n for n, _ in of)}
 
 
-def settings_tried() -> dict[int, str]:
-    """Circles -> how many settings of ours and of the other engines have errors on plain piles."""
+def settings_tried() -> dict[int, Counter]:
+    """Circles -> engine -> how many of its settings have errors on plain piles."""
     rows = [row for row in stored("run_tradeoff")["data"]["rows"] if row["kind"] == "plain" and row["errors"]]
-    counts = {n: [0, 0] for n in dict.fromkeys(row["n_bodies"] for row in rows)}
+    counts = {n: Counter(ours=0) for n in dict.fromkeys(row["n_bodies"] for row in rows)}
     for row in rows:
-        counts[row["n_bodies"]]["engine" in row["setting"]] += 1
-    return {n: f"{ours} / {theirs}" for n, (ours, theirs) in counts.items()}
+        counts[row["n_bodies"]][row["setting"].get("engine", "ours")] += 1
+    return counts
 
 
 def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
@@ -286,9 +318,9 @@ In the list of elements *right* says that an element was derived or measured her
 there is nothing to check.
 """
 
-_MADE = (engine, runs, many, noticed, presets, rivals, kinds, missed, figures)
+_MADE = (engine, runs, many, live, first_calls, noticed, presets, rivals, rivals_short, kinds, missed, figures)
 
-TABLES = {table.__name__: table for table in _MADE} | {
+TABLES = {table.__name__.replace("_", " "): table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True, holding=False),
     "errata": lambda: errata("Errata of the thesis"),
 }

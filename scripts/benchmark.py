@@ -1,15 +1,18 @@
 """python scripts/benchmark.py NAME [--quick] [--set NAME=VALUE] …: timings, in turns, of which the least counts.
 
 engine   ours beside Box2D 2.3, pymunk and Box2D v3 on the same piles: the cost of a sweep, of a step, and the overhead
-step     whole steps of ours by PGS and by colours, on one thread and on two; memory; many small piles
+step     whole steps of ours by PGS and by colours; memory; many small piles
+live     settled piles as users step them: in one call, step by step, watched; beside other programs; the first call
 
 Nothing else should run meanwhile. The files are benchmark_NAME.json and its picture, in figures/ or in --out.
 """
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from importlib import metadata
 from itertools import product
@@ -227,6 +230,85 @@ def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
     return {"cores": cores(), "us": us}
 
 
+# ---- as users step ----
+
+DEFAULTS = {"Box2D 2.3": (8, 3), "pymunk": (10, 0), "Box2D v3": (4, 0)}
+"""Engine -> (sweeps or substeps, position sweeps) of a step that its documentation recommends; ours has "fast"."""
+
+FIRST = """
+import deep_contact as dc
+dc.simulate({scene}, steps=1, accuracy={accuracy!r})
+"""
+SCENES = {
+    "100 circles, fast": ("dc.lattice_in_box(100)", "fast"),
+    "1,000 circles, fast": ("dc.lattice_in_box(1000)", "fast"),
+    "3,000 circles, fast": ("dc.lattice_in_box(3000)", "fast"),
+    "100 circles, reference": ("dc.lattice_in_box(100)", "reference"),
+    "hopper, fast": ("dc.hopper(100, opening=4.0)", "fast"),
+    "drum, fast": ("dc.drum(100, froude=0.5)", "fast"),
+}
+"""What a new process does at first -> the scene, and the preset. The code has been compiled before."""
+
+
+def ways_of(state: State, steps: int) -> dict:
+    """Name -> callable that does so many steps of a pile: ours in four ways, and each peer step by step."""
+    live, each = dc.Simulator(state, accuracy="fast"), [state]
+
+    def one_by_one():
+        for _ in range(steps):
+            live.step()
+
+    def function_by_function():
+        for _ in range(steps):
+            each[0] = dc.simulate(each[0], steps=1, accuracy="fast").state
+
+    def of_peer(world, name):
+        for _ in range(steps):
+            world.step(TIME_STEP, *DEFAULTS[name])
+
+    run = partial(dc.simulate, state, steps=steps, accuracy="fast")
+    ways = {"one call": run, "Simulator": one_by_one, "on_step": partial(run, on_step=lambda state, record: None)}
+    ways["simulate, one step each"] = function_by_function
+    return ways | {name: partial(of_peer, adapter(state), name) for name, adapter in peers.ENGINES.items()}
+
+
+@contextmanager
+def beside(count: int):
+    """So many other processes that use a core each."""
+    with ExitStack() as stack:
+        for _ in range(count):
+            busy = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
+            stack.callback(busy.kill)
+        yield
+
+
+def live(options, seed, jobs, progress):
+    """Microseconds of a step, the least, the median and the most of all repeats, beside 0, 1 and 2 busy processes."""
+    runs = []
+    for n_bodies in progress(options["sizes"], text="sizes"):
+        state = made_pile("settled", n_bodies, seed).replace(contacts=None, solver=None, solved=False)
+        state = dc.simulate(state, steps=100, accuracy="fast").state
+        steps = int(np.clip(options["work"] // n_bodies, 5, 1000))
+        for busy in options["busy"]:
+            with beside(busy):
+                times = timing.interleaved(ways_of(state, steps), repeats=options["repeats"], reduce=np.array)
+            us = {name: np.percentile(1e6 * took / steps, (0, 50, 100)).tolist() for name, took in times.items()}
+            runs.append({"n_bodies": n_bodies, "busy": busy, "us": us})
+    first = {}
+    for name in options["first"]:
+        scene, accuracy = SCENES[name]
+        first[name] = [timing.fresh(FIRST.format(scene=scene, accuracy=accuracy))["seconds"] for _ in range(4)][1:]
+    versions = {name: metadata.version(one.package) for name, one in peers.ENGINES.items()}
+    return {"runs": runs, "first": {name: min(took) for name, took in first.items()}, "versions": versions}
+
+
+def live_table(data):
+    """Microseconds of a step of every way; quiet: the least, beside others: the median."""
+    ways = [*data["runs"][0]["us"]]
+    rows = [[run["n_bodies"], run["busy"], *(run["us"][way][run["busy"] > 0] for way in ways)] for run in data["runs"]]
+    return [["circles", "busy processes", *(f"{way}, µs" for way in ways)], *rows]
+
+
 FIGURES = {
     "engine": Figure(
         "B.1", "Cost of a sweep and of a step, against other engines", engine, engine_table, claims=claims,
@@ -237,6 +319,12 @@ FIGURES = {
         "B.2", "Time of a step in a run", step, step_table,
         options={"sizes": [100, 1000, 3000, 10_000, 100_000, 1_000_000], "repeats": 10, "steps": 600},
         quick={"sizes": [100, 1000], "steps": 20}, file="benchmark_step",
+    ),
+    "live": Figure(
+        "B.3", "Time of a step as users step", live, live_table,
+        options={"sizes": [10, 100, 1000, 3000, 10_000], "busy": [0, 1, 2], "work": 200_000, "repeats": 10,
+                 "first": list(SCENES)},
+        quick={"sizes": [10], "busy": [0, 1], "work": 50, "repeats": 2, "first": []}, file="benchmark_live",
     ),
 }  # fmt: skip
 """Name -> what is timed. The steps of "step" are those of many small piles."""

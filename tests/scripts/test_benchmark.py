@@ -38,6 +38,18 @@ def test_steps_are_timed_as_users_run_them(run):
     assert set(found["many"]["us"]) == {"bare", "one core", "all cores"}
 
 
+@pytest.mark.peers
+def test_ways_to_step_are_timed_beside_busy_processes(run):
+    pytest.importorskip("Box2D")
+    pytest.importorskip("pymunk")
+    pytest.importorskip("pyb2d3")
+    quiet, busy = run("live", sizes=[10], busy=[0, 1], work=50, repeats=2)["data"]["runs"]
+    assert (quiet["busy"], busy["busy"]) == (0, 1)
+    for us in (quiet["us"], busy["us"]):
+        assert {"one call", "Simulator", "on_step", "simulate, one step each", *benchmark.DEFAULTS} == us.keys()
+        assert all(0 < least <= median <= most for least, median, most in us.values())
+
+
 def test_costs_are_those_of_the_model():
     """t = overhead + cost k m: exact however the contacts differ between the blocks of 10 and of 100 sweeps."""
     contacts = np.array([700, 710, 740, 760])  # of all 4 steps of a block

@@ -1,0 +1,19 @@
+"""The motions whose answers are known: a good setting makes them."""
+
+import pytest
+
+import deep_contact as dc
+from deep_contact.studies import known
+from deep_contact.trade import setting_of
+
+
+@pytest.mark.parametrize("number", range(8))
+def test_a_good_setting_makes_every_known_motion(number):
+    scene, seconds, wrong = list(known.motions())[number]
+    setting = setting_of(dc.PGS(sweeps=20, tolerance=None), 0.0025)
+    assert wrong(known._end(scene, setting, seconds)) < 2e-3  # first order in Δt
+
+
+def test_over_relaxed_sweeps_that_are_few_are_found():
+    good, bad = dc.PGS(sweeps=4, tolerance=None), dc.PSOR(omega=1.3, sweeps=2, tolerance=None)
+    assert known.error(setting_of(good, 0.01)) < 1.0 < known.error(setting_of(bad, 0.01))
