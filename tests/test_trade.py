@@ -487,3 +487,12 @@ def test_a_table_names_the_best_preset_that_a_setting_keeps(factor, is_kept):
     errors = {name: ((factor * most,) * 3,) * 2 for name, most in dc.presets.PRESETS["accurate"].items()}
     header, *lines = by_hand(rows=rows(**errors)).table()
     assert [line[header.index("keeps")] == "accurate" for line in lines] == [is_kept] * 2
+
+
+def test_the_predicted_cost_of_a_run_is_the_mean_of_its_moments(monkeypatch):
+    monkeypatch.setattr(module, "repeat", lambda *_, **__: [3.0])  # s, of one interval
+    monkeypatch.setattr(module, "timeit", lambda *_, **__: 0.0)
+    fast = module.setting_of(dc.PGS(sweeps=2, tolerance=None), 0.01)
+    setting = SimpleNamespace(settings={"one": fast}, by_preset={"fast": "one"}, digests=[])
+    costs, _ = module._costs(setting, {"one": fast}, dc.column(2), 5, 0.05)
+    assert costs == {"one": 5 * 3.0}
