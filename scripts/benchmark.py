@@ -322,7 +322,7 @@ FIGURES = {
     ),
     "live": Figure(
         "B.3", "Time of a step as users step", live, live_table,
-        options={"sizes": [10, 100, 1000, 3000, 10_000], "busy": [0, 1, 2], "work": 200_000, "repeats": 10,
+        options={"sizes": [10, 100, 1000, 3000, 10_000], "busy": [0, 1, 2], "work": 200_000, "repeats": 5,
                  "first": list(SCENES)},
         quick={"sizes": [10], "busy": [0, 1], "work": 50, "repeats": 2, "first": []}, file="benchmark_live",
     ),
