@@ -655,12 +655,20 @@ def method_of(state: State, solver=None, start="builtin", accuracy=None, *, slee
 def _goes_on(state: State, solver) -> bool:
     """Whether a run has come to this state with this solver, but for the division of its steps, which it then keeps.
 
-    A preset divides by the speed of the fastest circle, which changes in a run.
+    A preset divides by the speed of the fastest circle, which changes in a run. With it changes the tolerance of a
+    substep, where a stiff scene is solved to one (`stiffness`).
     """
     if state.step == 0 or type(state.solver) is not type(solver) or state.load not in (None, load_of(state)):
         return False
+    before = for_state(state.solver, state)
     divided = {"substeps": solver.substeps, "most_substeps": solver.most_substeps}
-    return replace(state.solver, **divided) == solver
+    if (
+        before.tolerance
+        and solver.tolerance
+        and before.tolerance * before.substeps == solver.tolerance * solver.substeps
+    ):
+        divided["tolerance"] = solver.tolerance
+    return replace(before, **divided) == solver
 
 
 def checked_solver(solver, state: State):

@@ -15,6 +15,7 @@ from deep_contact import presets
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import results
 from deep_contact.scene_numbers import scene_numbers
+from deep_contact.simulation import method_of
 from deep_contact.stiffness import stiffness
 from deep_contact.studies import runs
 from deep_contact.studies.runs import KINDS, dam_break, two_densities
@@ -324,3 +325,12 @@ def test_a_scene_without_circles_warns_of_nothing(world):
         look(run.state)
     assert run.trajectory.energies.tolist() == [[0.0, 0.0]] * 3
     dc.plotting.draw_state(dc.plotting.subplots()[1], run.state)
+
+
+def test_a_stiff_run_that_goes_on_keeps_the_division_of_its_steps():
+    bodies = dc.make_bodies([[5.0, 1.0], [5.0, 3.0]], mass=[1.0, 1e3], velocity=[0.0, -800.0])
+    scene = dc.State(name="stiff", world=dc.World(), bodies=bodies)
+    solver = method_of(scene, accuracy="fast").solver
+    slower = scene.replace(step=3, solver=solver, bodies=bodies._replace(velocity=np.zeros((2, 2))))
+    assert presets.decide(slower, "fast").solver.substeps < solver.substeps
+    assert method_of(slower, accuracy="fast").solver == solver
