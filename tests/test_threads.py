@@ -98,6 +98,7 @@ def calls(folder):
         "force_on": lambda i: dc.simulate(scenes[i], steps=9, record=3, forces=True).force_on(SIDES[i]),
         "transfer": lambda i: sph.gather(grid, sph.splat(grid, places[i], places[i], h=0.7), places[i]),
         "make_bodies": of("make_bodies", places),
+        "film": lambda i: dc.film([states()[i]], folder / f"{i}.gif", size=64).read_bytes(),
     }
 
 

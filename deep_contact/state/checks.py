@@ -291,6 +291,8 @@ def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
         return index.astype(np.int64)
     if name != "mass":
         return floats(f"{owner}.{name}", value, shape)
-    numbers = real_numbers(value)  # a fixed circle has an infinite one
-    is_fixed = np.isposinf(numbers) if numbers is not None and numbers.shape == shape else False
-    return np.where(is_fixed, np.inf, floats(f"{owner}.{name}", np.where(is_fixed, 1.0, value), shape))
+    numbers = real_numbers(value)
+    if numbers is None or numbers.shape != shape:
+        return floats(f"{owner}.{name}", value, shape)  # which refuses it
+    is_fixed = np.isposinf(numbers)  # a fixed circle has an infinite one
+    return np.where(is_fixed, np.inf, floats(f"{owner}.{name}", np.where(is_fixed, 1.0, numbers), shape))

@@ -328,6 +328,7 @@ def test_generated_states_have_contacts_and_the_generator_s_solver(undisturbed, 
     assert (np.diff(stored.arrays["step"]) > 0).all()
 
 
+@pytest.mark.slow
 def test_jobs_change_no_bit(undisturbed, tmp_path):
     run_python(*command(tmp_path, 4, "--jobs", "2")[1:])
     assert contents(tmp_path) == {f"sim_{i:04d}.h5": undisturbed[f"sim_{i:04d}.h5"] for i in range(4)}

@@ -116,6 +116,7 @@ def test_other_settings_do_not_go_on(undisturbed, data):
         quietly(tiny(batch_size=4), data, undisturbed.path.parent)
 
 
+@pytest.mark.slow
 def test_run_of_fixed_rates_can_be_prolonged(data, tmp_path):
     fixed = tiny(epochs=2, schedule="algorithm 6")
     whole = quietly(fixed, data, tmp_path / "whole")
@@ -181,6 +182,7 @@ def test_an_epoch_shows_other_states_in_full_batches_and_repeats(data):
     assert {part.dtype for part in first[1]} == {np.dtype(np.float32)}
 
 
+@pytest.mark.slow
 def test_boxes_of_different_sizes_are_refused(data, tmp_path):
     shutil.copy(data / "sim_0000.h5", tmp_path)
     write_simulation(tmp_path / "sim_0001.h5", [dc.simulate(dc.single_body(), steps=1).state])

@@ -195,6 +195,7 @@ def test_two_processes_that_write_one_file_leave_one_whole(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["state.xml"]
 
 
+@pytest.mark.slow
 def test_two_processes_that_generate_into_one_folder_make_what_one_makes(tmp_path):
     command = [sys.executable, SCRIPTS / "generate_data.py", "--steps", "150", "--bodies", "8", "9", "--jobs", "1"]
     command += ["--simulations", "3", "--out"]

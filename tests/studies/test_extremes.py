@@ -35,8 +35,10 @@ def with_value(name, value):
             "box": (0.0, 0.0, 2.02, value),
             "segments": [((-3.0, 0.0), (-3.0, value))],
             "surface_speeds": [value],
+            "segment_velocities": [((0.0, value), (0.0, value))],
         }.get(field, value)
-        belt = {"segments": [((0.0, 0.0), (3.0, 0.0))]} if field == "surface_speeds" else {}
+        moves = field in ("surface_speeds", "segment_velocities")
+        belt = {"segments": [((0.0, 0.0), (3.0, 0.0))]} if moves else {}
         return scene.replace(world=dc.World(**{"box": scene.world.box, field: value}, **belt))
     if owner == "scales":
         return scene.replace(world=replace(scene.world, scales=dc.BOX2D._replace(**{field: value})))
@@ -82,6 +84,8 @@ def test_a_field_of_the_wrong_length_or_that_is_not_finite_is_refused_by_name(ow
     if array.ndim == 2:
         wrong.append(np.ascontiguousarray(np.column_stack([array, array[:, 0]])))
     for value in (np.nan, np.inf, -np.inf) if array.dtype == float else ():
+        if name == "mass" and value > 0:
+            continue  # of a fixed circle
         wrong.append(array.copy())
         wrong[-1].flat[-1] = value
     for values in wrong:
