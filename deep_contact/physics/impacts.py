@@ -124,27 +124,16 @@ def reflect(step, contacts, impulse, drive):
     rebound, so that piles come to rest. Both times |n · g| / |g|, or `ACROSS`: gravity presses no side wall.
     """
     m, n, floor = contacts.body_a.shape[0], step.bodies.mass.shape[0], floor_of(step)
-    first = 0
-    while first < m and approach_of(step, contacts, first, floor, 0.0, drive) == 0.0:
-        first += 1
-    if first == m:
-        return
     now = Round(
         np.arange(m), np.empty(m), np.empty(m), np.empty(n, np.int64), np.zeros(n + 1), np.empty(n + 1, np.int64),
         np.empty((n, 2)), np.empty((n + 1, 3)), np.zeros(n + 1),
     )  # fmt: skip
-    head, following = contacts_of_circles(contacts, n)
     slowest = max(SLOWEST[0], SLOWEST[1] * (1.0 - step.restitution * step.restitution))
-    count, strikes = m, 0
-    while count > 0 and strikes < max(MOST_STRIKES[0] * m, MOST_STRIKES[1]):
-        struck = 0
-        for k in range(count):
-            i = now.near[k]
-            fastest = max(now.fastest[contacts.body_a[i]], now.fastest[min(contacts.body_b[i], n)])
-            x = approach_of(step, contacts, i, floor, slowest * fastest, drive)
-            if x > 0.0:
-                now.near[struck], now.approach[struck] = i, x
-                struck += 1
+    struck, strikes = approaching(step, contacts, m, now, floor, slowest, drive), 0
+    if struck == 0:
+        return
+    head, following = contacts_of_circles(contacts, n)
+    while struck > 0 and strikes < max(MOST_STRIKES[0] * m, MOST_STRIKES[1]):
         circles = join(step.bodies, contacts, struck, now)
         push(step, contacts, struck, circles, now)
         rub(step, contacts, struck, circles, now, step.friction, impulse, drive)
@@ -159,6 +148,7 @@ def reflect(step, contacts, impulse, drive):
                 end = following[end]
         for k in range(circles):
             now.closing[now.circle[k]] = 0.0
+        struck = approaching(step, contacts, count, now, floor, slowest, drive)
 
 
 @njit(cache=True, error_model="numpy")
@@ -173,22 +163,47 @@ def floor_of(step):
 
 
 @njit(cache=True, error_model="numpy")
-def approach_of(step, contacts, i, floor, least, drive):
-    """−v_n of the i-th contact, m/s, or 0 where it does not rebound: not above `least`, m/s, or the floor."""
-    velocity, (flat, f_x, f_y) = step.bodies.velocity, floor
-    a, b, n_x, n_y = contacts.body_a[i], contacts.body_b[i], contacts.normal[i, 0], contacts.normal[i, 1]
-    a_x, a_y = velocity[a, 0], velocity[a, 1]
-    b_x, b_y = (velocity[b, 0], velocity[b, 1]) if b < velocity.shape[0] else ground_of(step, contacts, i, drive)
-    x = (a_x - b_x) * n_x + (a_y - b_y) * n_y
-    if x > 0.0:
-        least = max(least, flat, abs(f_x * n_x + f_y * n_y))
-        least = max(least, ROUNDING * (abs(a_x) + abs(a_y) + abs(b_x) + abs(b_y)), 1e-100)
-        if least < x < np.inf and inverse_mass(step.bodies, a) + inverse_mass(step.bodies, b) > 0.0:
-            return x
-    return 0.0
+def approaching(step, contacts, count, now, floor, slowest, drive):
+    """Keep those of the first `count` contacts in `now.near` that rebound, in place, with x_i = −v_n. Returns how many.
+
+    A contact rebounds where it approaches faster than the floor, and than `slowest` times the fastest at its circles.
+    """
+    # Out of the tuples: in a loop, and in a call for each contact, every array of them would count its references.
+    velocity, mass, fastest, near, approach = (
+        step.bodies.velocity,
+        step.bodies.mass,
+        now.fastest,
+        now.near,
+        now.approach,
+    )
+    body_a, body_b, normal, n, (flat, f_x, f_y) = (
+        contacts.body_a,
+        contacts.body_b,
+        contacts.normal,
+        mass.shape[0],
+        floor,
+    )
+    up_x, up_y = -0.5 * step.dt * step.gravity[0], -0.5 * step.dt * step.gravity[1]
+    struck = 0
+    for k in range(count):
+        i = near[k]
+        a, b, n_x, n_y = body_a[i], body_b[i], normal[i, 0], normal[i, 1]
+        a_x, a_y, b_x, b_y = velocity[a, 0], velocity[a, 1], up_x, up_y
+        if b < n:
+            b_x, b_y = velocity[b, 0], velocity[b, 1]
+        elif drive is not None:
+            b_x, b_y = ground_of(step, contacts, i, drive)
+        x = (a_x - b_x) * n_x + (a_y - b_y) * n_y
+        if x > 0.0:
+            least = max(slowest * max(fastest[a], fastest[min(b, n)]), flat, abs(f_x * n_x + f_y * n_y))
+            least = max(least, ROUNDING * (abs(a_x) + abs(a_y) + abs(b_x) + abs(b_y)), 1e-100)
+            if least < x < np.inf and (mass[a] < np.inf or (b < n and mass[b] < np.inf)):
+                near[struck], approach[struck] = i, x
+                struck += 1
+    return struck
 
 
-@njit(cache=True)
+@njit(inline="always")
 def ground_of(step, contacts, i, drive):
     """Velocity of a wall or a segment at the i-th contact, m/s: see the module."""
     v_x, v_y = -0.5 * step.dt * step.gravity[0], -0.5 * step.dt * step.gravity[1]
@@ -321,7 +336,7 @@ def rub(step, contacts, struck, circles, now, friction, impulse, drive):
             bodies.spin[c] += 2.0 * w * now.impulse[c, 2] / bodies.radius[c]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def slip_of(step, contacts, i, arms, drive):
     """v_t of the i-th contact, m/s, the tangent (n_y, −n_x). arms: over radii."""
     bodies, n, a, b = step.bodies, step.bodies.mass.shape[0], contacts.body_a[i], contacts.body_b[i]

@@ -263,7 +263,7 @@ def with_pairs(received, contacts):
     return merged
 
 
-@njit(cache=True)
+@njit(inline="always")
 def pair_of(contacts, i):
     """The two bodies of the i-th contact as one number, in the order of contacts."""
     return contacts.body_a[i] * MOST_BODIES + contacts.body_b[i]
