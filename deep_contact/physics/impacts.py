@@ -116,7 +116,9 @@ def rebound(step, contacts, impulse, drive):
 
 @njit(cache=True, error_model="numpy")
 def reflect(step, contacts, impulse, drive):
-    """The rounds of `rebound`. step: `StepInput`.
+    """The rounds of `rebound`, whose parts are inlined: a call would count references to every array of the step.
+
+    step: `StepInput`.
 
     impulse: to which what the second bodies of the contacts receive is added, (m, 2), N·s; (0, 2) where nobody asks.
 
@@ -129,11 +131,10 @@ def reflect(step, contacts, impulse, drive):
         np.empty((n, 2)), np.empty((n + 1, 3)), np.zeros(n + 1),
     )  # fmt: skip
     slowest = max(SLOWEST[0], SLOWEST[1] * (1.0 - step.restitution * step.restitution))
-    struck, strikes = approaching(step, contacts, m, now, floor, slowest, drive), 0
-    if struck == 0:
-        return
     head, following = contacts_of_circles(contacts, n)
-    while struck > 0 and strikes < max(MOST_STRIKES[0] * m, MOST_STRIKES[1]):
+    count, strikes = m, 0
+    while count > 0 and strikes < max(MOST_STRIKES[0] * m, MOST_STRIKES[1]):
+        struck = approaching(step, contacts, count, now, floor, slowest, drive)
         circles = join(step.bodies, contacts, struck, now)
         push(step, contacts, struck, circles, now)
         rub(step, contacts, struck, circles, now, step.friction, impulse, drive)
@@ -148,7 +149,6 @@ def reflect(step, contacts, impulse, drive):
                 end = following[end]
         for k in range(circles):
             now.closing[now.circle[k]] = 0.0
-        struck = approaching(step, contacts, count, now, floor, slowest, drive)
 
 
 @njit(cache=True, error_model="numpy")
@@ -162,13 +162,13 @@ def floor_of(step):
     return ACROSS * slow, slow * g_x / gravity, slow * g_y / gravity
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def approaching(step, contacts, count, now, floor, slowest, drive):
     """Keep those of the first `count` contacts in `now.near` that rebound, in place, with x_i = −v_n. Returns how many.
 
     A contact rebounds where it approaches faster than the floor, and than `slowest` times the fastest at its circles.
     """
-    # Out of the tuples: in a loop, and in a call for each contact, every array of them would count its references.
+    # Out of the tuples, whose arrays would count their references in every turn of the loop.
     velocity, mass, fastest, near, approach = (
         step.bodies.velocity,
         step.bodies.mass,
@@ -235,7 +235,7 @@ def contacts_of_circles(contacts, n):
     return head, following
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def join(bodies, contacts, struck, now):
     """Join the circles of the contacts that rebound to clusters, in place. Returns the number of these circles."""
     n, count = bodies.mass.shape[0], 0
@@ -268,7 +268,7 @@ def shared_masses(bodies, contacts, k, now):
     return now.cluster[a if now.closing[a] > 0.0 else b], w_a, w_b
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def push(step, contacts, struck, circles, now):
     """Give the circles their normal impulses P_i = L p_i, in place."""
     bodies, n = step.bodies, step.bodies.mass.shape[0]
@@ -309,7 +309,7 @@ def give(now, a, b, p_x, p_y):
     now.impulse[b, 1] += p_y
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def rub(step, contacts, struck, circles, now, friction, impulse, drive):
     """Give the circles the friction of their normal impulses, in place. impulse: of `rebound`."""
     bodies, n = step.bodies, step.bodies.mass.shape[0]
