@@ -119,7 +119,6 @@ def reflect(step, contacts, impulse, drive):
     """The rounds of `rebound`, whose parts are inlined: a call would count references to every array of the step.
 
     step: `StepInput`.
-
     impulse: to which what the second bodies of the contacts receive is added, (m, 2), N·s; (0, 2) where nobody asks.
 
     Approaches of up to (1 − e²) times the scene's `restitution_threshold`, and of what gravity gives in a step, do not
@@ -309,9 +308,12 @@ def give(now, a, b, p_x, p_y):
     now.impulse[b, 1] += p_y
 
 
-@njit(inline="always")
+@njit(cache=True, error_model="numpy")
 def rub(step, contacts, struck, circles, now, friction, impulse, drive):
-    """Give the circles the friction of their normal impulses, in place. impulse: of `rebound`."""
+    """Give the circles the friction of their normal impulses, in place. impulse: of `rebound`.
+
+    Not inlined: only the type of an argument tells the compiler that there is no friction.
+    """
     bodies, n = step.bodies, step.bodies.mass.shape[0]
     for k in range(struck):
         i, p_n, p_t = now.near[k], now.push[k], 0.0
