@@ -24,6 +24,7 @@ from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 from numba import config
 from numba.core import caching, compiler
@@ -54,12 +55,14 @@ class CodeCache(caching.NullCache):
         name = f"{Path(file).stem}.{function.__qualname__}-{function.__code__.co_firstlineno}".translate(_BRACKETS)
         name += f".py{sys.version_info[0]}{sys.version_info[1]}{getattr(sys, 'abiflags', '')}"
         self._py_func, self._files = function, []
+        self._locator, self._lineno = SimpleNamespace(_py_file=file), function.__code__.co_firstlineno  # for a warning
         self._turn, self._writing = (_Turn(f"{name}{of}", _folders(file), on_wait) for of in ("", " index"))
         with suppress(OSError):  # no sources, as in a frozen program or a notebook
             stamp = source_stamp(Path(file))
             self._files = [_CheckedFile(folder, name, stamp) for folder in _folders(file)]
 
     _index_key = caching.Cache._index_key
+    check_cachable = caching.CompileResultCacheImpl.check_cachable
 
     def load_overload(self, signature, context):
         """The compiled version for a signature. None where there is none: then it is this process's turn to compile."""
@@ -75,7 +78,7 @@ class CodeCache(caching.NullCache):
 
     def save_overload(self, signature, result) -> None:
         """Keep the compiled version for a signature, where a folder can be written."""
-        if not self._files or result.library.has_dynamic_globals:
+        if not (self._files and self.check_cachable(result)):
             return
         key, reduced = self._index_key(signature, result.codegen), result._reduce()
         for file in self._files:

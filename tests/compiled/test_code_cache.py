@@ -231,6 +231,22 @@ def test_code_is_read_where_nothing_can_be_written_and_written_elsewhere(folders
         assert hits_and_misses(again) == counts
 
 
+LARGE = np.arange(200_000.0)  # so large that compiled code holds its address, which another process does not have
+
+
+def read_large(i):
+    return LARGE[i]
+
+
+@needs_compiler
+def test_code_that_holds_an_address_is_not_kept(folders):
+    for _ in range(2):
+        read = njit(read_large, cache=True)
+        with pytest.warns(numba.NumbaWarning, match='Cannot cache compiled function "read_large"'):
+            assert read(3) == 3.0
+        assert hits_and_misses(read) == (0, 1)
+
+
 @needs_compiler
 def test_what_another_process_has_compiled_meanwhile_is_not_compiled_again(folders, monkeypatch):
     mine, others = (njit(double, cache=True) for _ in range(2))
