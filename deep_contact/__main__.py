@@ -243,6 +243,8 @@ def _warm_up(args) -> int:
     """Compile all kinds, in as many processes as there are cores."""
     import time
 
+    # By its module: under `python -m` this one is called __main__, where other processes do not find it.
+    from deep_contact.__main__ import _compile
     from deep_contact.parallel import cores, finished
 
     begun, jobs = time.perf_counter(), min(cores(), len(KINDS))

@@ -305,7 +305,11 @@ def live(options, seed, jobs, progress):
 def live_table(data):
     """Microseconds of a step of every way; quiet: the least, beside others: the median."""
     ways = [*data["runs"][0]["us"]]
-    rows = [[run["n_bodies"], run["busy"], *(run["us"][way][run["busy"] > 0] for way in ways)] for run in data["runs"]]
+    shown = [[run["us"][way][run["busy"] > 0] for way in ways] for run in data["runs"]]
+    rows = [
+        [run["n_bodies"], run["busy"], *(round(us, 1) if us < 100 else round(us) for us in times)]
+        for run, times in zip(data["runs"], shown)
+    ]
     return [["circles", "busy processes", *(f"{way}, µs" for way in ways)], *rows]
 
 

@@ -10,7 +10,10 @@ ensure_venv ""
 "$PYTHON" -m deep_contact warm-up
 cat <<END
 
-Two pictures: figures/figure_3_6.png, figures/figure_5_7.png. Go on with
+Two pictures:
+  figures/figure_3_6.png  a pile of circles falls, at four times; the colour is the speed
+  figures/figure_5_7.png  how fast the solver converges from each start: the lower a line, the better the start
+Go on with
   $PYTHON -m deep_contact simulate --accuracy fast --out pile.gif  # a film of a pile that falls
   $PYTHON -m deep_contact simulate --bodies 100 --accuracy fast --out run.h5
   $PYTHON -m deep_contact figure 3.3  # any figure or table by its number; without one, what there is

@@ -73,6 +73,11 @@ def test_warm_up_compiles_every_kind_and_says_how_long(monkeypatch, capsys):
     assert whole.startswith("4 kinds in ")
 
 
+def test_warm_up_finds_its_function_in_the_processes_of_python_m():
+    said = run_python("-m", "deep_contact", "warm-up").stdout
+    assert len(said.splitlines()) == len(command_line.KINDS) + 1
+
+
 # ---- figures and tables ----
 
 

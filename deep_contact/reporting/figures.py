@@ -237,15 +237,25 @@ def _redrawn(figure: Figure, path: Path) -> dict:
 
 
 def _report(figure: Figure, stored: dict, path: Path) -> None:
-    """Print the numbers as a table, one line a claim, and the picture's path."""
+    """Print the numbers as a table, one line a claim, and the picture's path.
+
+    Claims that a quick run is too small for, and that the reference run has judged, are one line together.
+    """
     beside = figure.beside(stored["options"])
     print(figure.heading)
     rows = figure.rows(stored["data"]) if figure.table else []
     widths = [max(map(len, column)) for column in zip(*rows)]
     for row in rows:
         print(f"  {'  '.join(map(str.ljust, row, widths))}".rstrip())
-    for claim in stored["claims"]:
+    judged = stored["claims"]
+    if beside is not None:
+        judged = [claim for claim in judged if not results.verdict(claim, beside).startswith(f"{results.OPEN} (")]
+    for claim in judged:
         print(claim_line(claim, beside, measured=beside is None))
+    if left := len(stored["claims"]) - len(judged):
+        print(
+            f"claims that need more states than a quick run has: {left} (docs/thesis.md says what the full one found)"
+        )
     print(f"picture: {path.with_suffix('.png')}")
 
 

@@ -96,6 +96,12 @@ def test_a_quick_run_says_so_and_where_it_agrees_with_the_reference(tmp_path, ca
         assert capsys.readouterr().out.splitlines()[5] == f"as in the reference run, does not hold: {claim}"
 
 
+def test_claims_that_a_quick_run_is_too_small_for_are_one_line(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(results, "verdict", lambda claim, beside: f"{results.OPEN} (reference run: holds)")
+    run(tmp_path, "--quick")
+    assert capsys.readouterr().out.splitlines()[5].startswith("claims that need more states than a quick run has: 1 (")
+
+
 def test_the_picture_of_another_run_than_the_figure_s_own_says_so(tmp_path, monkeypatch):
     """`--quick --set` lost the "quick", and no picture named a setting that was changed."""
     drawn = []
