@@ -254,7 +254,7 @@ def _report(figure: Figure, stored: dict, path: Path) -> None:
         print(claim_line(claim, beside, measured=beside is None))
     if left := len(stored["claims"]) - len(judged):
         print(
-            f"claims that need more states than a quick run has: {left} (docs/thesis.md says what the full one found)"
+            f"claims that need more states than a quick run has: {left} (docs/thesis.md has the verdicts)"
         )
     print(f"picture: {path.with_suffix('.png')}")
 
