@@ -212,10 +212,10 @@ def _aligned(size: int) -> np.ndarray:
 def _convolve(layer, b, nodes, weights, space, zero):
     """Block b of a layer: `WIDTH` nodes, all groups of features, each of as many as `zero` has lanes."""
     first, pitch, vectors = layer.first + b * WIDTH, uint64(layer.pitch), layer.vectors
-    i, j = uint64(first), uint64(1)
-    x0, x1, x2, x3 = nodes[i, 0], nodes[i + j, 0], nodes[i + 2 * j, 0], nodes[i + 3 * j, 0]
-    x4, x5, x6, x7 = nodes[i + 4 * j, 0], nodes[i + 5 * j, 0], nodes[i + 6 * j, 0], nodes[i + 7 * j, 0]
-    w, next_w = uint64(layer.weights), uint64(vectors)
+    x0, x1, x2 = nodes[uint64(first), 0], nodes[uint64(first + 1), 0], nodes[uint64(first + 2), 0]
+    x3, x4, x5 = nodes[uint64(first + 3), 0], nodes[uint64(first + 4), 0], nodes[uint64(first + 5), 0]
+    x6, x7 = nodes[uint64(first + 6), 0], nodes[uint64(first + 7), 0]
+    w, next_w, one = uint64(layer.weights), uint64(vectors), uint64(1)
     for g in range(layer.groups):
         a0 = load_like(zero, weights, w)
         w += next_w
@@ -233,7 +233,7 @@ def _convolve(layer, b, nodes, weights, space, zero):
                 a6 = a6 + c * spread_like(zero, space[x6 + o])
                 a7 = a7 + c * spread_like(zero, space[x7 + o])
                 w += next_w
-                o += j
+                o += one
         k = 0
         for a in (a0, a1, a2, a3, a4, a5, a6, a7):
             place = np.int64(nodes[first + k, 1]) + g * vectors

@@ -144,7 +144,8 @@ def load(context, array, i):
     return Lanes(array.dtype)(array, types.int64), _emit_load
 
 
-@_lanewise(lambda like, array, i: array.reshape(-1)[WIDTH * i : WIDTH * i + like.size].copy())
+# `int`, since NumPy 1 makes a float of WIDTH * uint64.
+@_lanewise(lambda like, array, i: array.reshape(-1)[WIDTH * int(i) :][: like.size].copy())
 def load_like(context, like, array, i):
     """As many numbers of a contiguous array as there are in `like`, from the i-th eight on."""
     return like(like, array, types.int64), _emit_load
