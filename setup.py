@@ -19,7 +19,7 @@ SHIPPED = (
     "scripts/predict.py",
     "scripts/train.py",
     "data/sample/*",
-    "data/reference/run_tradeoff.json",  # Figures 6.1, 6.2 and 6.11 draw it
+    "data/reference/run_tradeoff.json",  # Figures 6.1 and 6.2 draw it
 )
 """5 MB. The thesis's network (25 MB) stays in the repository."""
 

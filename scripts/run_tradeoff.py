@@ -4,7 +4,7 @@ A list of scenes and settings, which `studies.runs` runs, times and judges. Ever
 folder, so an interrupted study of one commit goes on where it stopped. Several processes compute errors; then one
 measures times: `--set timed=false` leaves these out, for a machine that is not quiet. `--set add=true` takes over the
 errors that data/reference has, and measures what it lacks, and all times. `--install` alone judges the stored settings
-by known answers and makes their numbers those that `dc.simulate` and `dc.recommend` read. Figures 6.1, 6.2 and 6.11
+by known answers and makes their numbers those that `dc.simulate` and `dc.recommend` read. Figures 6.1 and 6.2
 draw them.
 """
 
@@ -102,7 +102,7 @@ LADDER = [
     *settings({1: (10, 20)}, method="PSOR", omega=1.75, friction_omega=1.45),
     *(one for method in ("NNCG", "NesterovPGS") for one in settings({1: (10, 20)}, method=method)),
 ]
-"""Settings on plain piles alone: what sweeps, steps and methods do to an error (Figures 6.1, 6.2, 6.11)."""
+"""Settings on plain piles alone: what sweeps, steps and methods do to an error (Figures 6.1 and 6.2)."""
 
 LARGE_LADDER = settings(
     {1: (4, 6, 10, 20, 50), 2: (2, 3, 5, 10), 4: (1, 2, 3, 5, 10), 8: (1, 2, 4, 20), 32: (20,)}, **PGS

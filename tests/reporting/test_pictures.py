@@ -21,14 +21,6 @@ def test_the_time_step_s_picture_ends_above_the_step_that_is_taken_for_the_truth
     assert min(shown) > runs.REFERENCE["dt"]
 
 
-def test_a_smaller_step_is_compared_by_both_errors_in_the_picture():
-    script, data, picture = drawn("6.11")
-    for j, n in enumerate(runs.sizes_of(data["rows"])):
-        for ax, name in zip(picture.axes[j :: len(runs.sizes_of(data["rows"]))], script.DRAWN):
-            (rings,) = (line for line in ax.lines if line.get_label().startswith("20 sweeps"))
-            assert rings.get_ydata().tolist() == [row["errors"][name] for row in script.compared(data, n)]
-
-
 @pytest.mark.parametrize("row", ["asleep: a step", "islands, thesis scene: time", "job: import"])
 def test_what_is_saved_has_a_unit_of_its_size(row):
     script, data, _ = drawn("6.7")
