@@ -215,23 +215,6 @@ def price(n_bodies: int) -> dict:
     return break_even()["far field"][f"{n_bodies} circles"]
 
 
-def without_past() -> tuple:
-    """Figure 6.14: least and largest median ratio at 10,000 circles, wins, cells, then by size, and the price."""
-    measured = claim("figure_6_14", "learned support takes")
-    cells = {name: value for name, value in measured.items() if "circles" in name}
-    by_size = []
-    for size in ("10,000", "3,000", "1,000"):
-        found = [value for name, value in cells.items() if name.startswith(f"{size} ")]
-        by_size += [sum(value[0] <= 0.7 and value[2] < 0.85 for value in found), len(found)]
-    largest = spread(value[0] for name, value in cells.items() if name.startswith("10,000 "))
-    prices = [
-        (timed["price"]["learned support"] - timed["price"]["support"]) / timed["sweeps"]["NesterovPGS"][1]
-        for timed in stored("figure_6_14")["data"]["times"]
-        if timed["n_bodies"] == 1000
-    ]
-    return *largest, measured["wins"], measured["cells"], *by_size, np.mean(prices)
-
-
 def width(friction: float = 0.5, circles: int = 100, *, scene: str = "resting", radii: str = "0.8") -> float:
     """Figure 6.15: of the interval of the median contact of resting circles, over the mean λ_n."""
     name = f"{circles} circles, {scene}, μ = {friction:g}, radii from {radii} m"
@@ -406,15 +389,6 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ("takes the time of {:.0f} sweeps, for 1,000 circles", lambda: [price(1000)["in sweeps"]]),
         ("In {} cases (a kind of pile, its size, an error) the network came to the error first in {}", lambda: [break_even()["cases"], break_even()["wins"]]),
         ("This network saves {:.1f}, {:.1f} and {:.1f} sweeps where", lambda: worth() - AFTER),
-        (
-            "a solve from it takes {:.2f} to {:.2f} of the time of the best classical setting",
-            lambda: without_past()[:2],
-        ),
-        (
-            "where this ratio is below 0.7 and its interval ends below 0.85. It wins {} of {} cells: {} of {} at 10,000 "
-            "circles, {} of {} at 3,000 and {} of {} at 1,000, where it costs the time of {:.0f} sweeps more",
-            lambda: without_past()[2:],
-        ),
     ],
     "thesis.md": [
         (

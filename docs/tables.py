@@ -304,7 +304,7 @@ def appendix() -> str:
 
 
 LONG = [f"figure_{name}" for name in ("3_8", "5_10", "6_1", "6_2", "6_3", "6_6", "6_7", "6_10")]
-LONG += ["figure_6_14", "figure_6_16", "table_6_4", "table_6_5"]
+LONG += ["figure_6_16", "table_6_4", "table_6_5"]
 """Scripts whose whole table is in the appendix."""
 
 APPENDIX = """# Appendix
