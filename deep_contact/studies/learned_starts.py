@@ -1,9 +1,9 @@
-"""Learned starts against classical ones: Figures 6.8 and 6.10.
+"""Learned starts against classical ones, by their errors (Figure 6.8), and the stages of a start (Figure 5.10).
 
 A setting is a start and the solver that follows it, such as "builtin, NNCG"; after "builtin" alone follows PGS. The
 learned start with its best solver is compared with the best classical setting; both are chosen after the errors are
-known. Errors are velocity errors (`metrics`) on the same states: setting -> (states, numbers of sweeps). Times are
-measured apart, with nothing else running. No network was trained on scenes of these seeds.
+known. Errors are velocity errors (`metrics`) on the same states: setting -> (states, numbers of sweeps). No network was
+trained on scenes of these seeds.
 """
 
 from __future__ import annotations
@@ -18,30 +18,22 @@ import numpy as np
 from deep_contact.parallel import parallel_map, seeds
 from deep_contact.physics import metrics
 from deep_contact.physics.contact_solver import projected
-from deep_contact.physics.engine import solve, step_problem
+from deep_contact.physics.engine import ContactSolution, solve, step_problem
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
-from deep_contact.simulation import solve_contacts
 from deep_contact.state import State
-from deep_contact.studies import piles, timing
 from deep_contact.studies.starts import REFERENCE, solved_states, start_of
-from deep_contact.studies.verdicts import FEWEST, interval
+from deep_contact.studies.verdicts import interval
 from deep_contact.warm_start import Sph, WarmStart, solved_impulses
-
-BASE = "PSOR 1.75 | 1.45"
-"""The best PSOR along runs: ω of the normal rows, and of the friction rows."""
 
 SOLVERS = {
     "PGS": PGS(),
     "PSOR 1.3": PSOR(omega=1.3),
-    "PSOR 1.5": PSOR(omega=1.5),
-    BASE: PSOR(omega=1.75, friction_omega=1.45),
+    "PSOR 1.75 | 1.45": PSOR(omega=1.75, friction_omega=1.45),
     "NesterovPGS": NesterovPGS(),
     "NNCG": NNCG(),
 }
-
-FOLLOWING = ("PGS", "PSOR 1.3", BASE, "NesterovPGS", "NNCG")
-"""Solvers that follow a start where several are tried."""
+"""Solvers that follow a start. The third is the best PSOR along runs: ω of the normal and of the friction rows."""
 
 CLASSICAL = ("none", "builtin", "scaled")
 """Starts that nothing was trained for."""
@@ -60,23 +52,21 @@ def parts_of(setting: str) -> tuple[str, str]:
     return start, solver or "PGS"
 
 
-def settings_with(starts: Iterable[str], solvers: Iterable[str] = FOLLOWING) -> list[str]:
+def settings_with(starts: Iterable[str]) -> list[str]:
     """The names of every start with every solver."""
-    return [start if solver == "PGS" else f"{start}, {solver}" for start, solver in product(starts, solvers)]
+    return [start if solver == "PGS" else f"{start}, {solver}" for start, solver in product(starts, SOLVERS)]
 
 
-def fixed(solver: str, sweeps: int):
-    """A solver of `SOLVERS` that does so many sweeps."""
-    return replace(SOLVERS[solver], sweeps=sweeps, tolerance=None)
-
-
-def errors_of(state: State, impulses: Mapping, settings: Iterable[str], sweeps: Sequence, references: Sequence) -> dict:
-    """Setting -> distances to the nearest reference after so many sweeps. impulses: start -> its impulses."""
+def errors_of(
+    state: State, impulses: Mapping, settings: Iterable[str], sweeps: Sequence, solution: ContactSolution
+) -> dict:
+    """Setting -> velocity errors after so many sweeps. impulses: start -> its impulses."""
     errors = {}
     for name in settings:
         start, solver = parts_of(name)
-        ends = (solve(state, fixed(solver, k), *impulses[start]) for k in sweeps)
-        errors[name] = [metrics.nearest_velocity_error(state, end, references) for end in ends]
+        fixed = (replace(SOLVERS[solver], sweeps=k, tolerance=None) for k in sweeps)
+        ends = (solve(state, solver, *impulses[start]) for solver in fixed)
+        errors[name] = [metrics.velocity_error(state, end, solution) for end in ends]
     return errors
 
 
@@ -90,13 +80,13 @@ OFF = 0.05
 
 
 def errors_on_scenes(starts: Mapping, options: Mapping, seed: int, jobs, progress: Callable) -> list[dict]:
-    """Errors of starts with all of `FOLLOWING` on the same states of the thesis's scenes, with μ = 0.3.
+    """Errors of starts with all of `SOLVERS` on the same states of the thesis's scenes, with μ = 0.3.
 
     The training data have 0.5. starts: name -> description (`starts.start_of`), among them "builtin". options: number
     of "scenes", "steps" of a scene, of which one in "every" is measured, and the numbers of sweeps "after" which errors
     are measured. Returns scene by scene {"step": (states,), "errors": {setting: (states, len(after))}}.
     """
-    settings = [*starts, *settings_with(starts, FOLLOWING[1:])]
+    settings = settings_with(starts)
     tasks = [{**options, "starts": starts, "settings": settings, "seed": s} for s in seeds(seed, options["scenes"])]
     return parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
 
@@ -109,7 +99,7 @@ def _errors_on_scene(task: Mapping) -> dict:
     for state in solved_states(scene, steps=task["steps"], every=task["every"], solver=PGS(sweeps=5000)):
         solution = solve(state, REFERENCE, state.contacts.normal_impulse, state.contacts.tangent_impulse)
         impulses = {name: start(state, PGS()) for name, start in starts.items()}
-        errors = errors_of(state, impulses, task["settings"], task["after"], [solution])
+        errors = errors_of(state, impulses, task["settings"], task["after"], solution)
         if np.isfinite(list(errors.values())).all():  # not where contacts have nothing to solve
             solved["step"].append(state.step)
             for name, values in errors.items():
@@ -160,19 +150,7 @@ def text_of(ratio: Sequence[float], digits: int = 2) -> str:
     return "{:.{d}f} ({:.{d}f}–{:.{d}f})".format(*ratio, d=digits)
 
 
-# ---- times of starts and sweeps ----
-
-
-def from_rows(start: WarmStart, state: State) -> Callable[[], object]:
-    """What makes the impulses of a start from rows that have been built, as a run has them."""
-    rows, make = ([step_problem(state)], start.from_problem) if hasattr(start, "from_problem") else ([], start)
-    return partial(make, state, PGS(), *rows)
-
-
-def sweep_times(state: State, solvers: Iterable[str], counts: tuple[int, int], repeats: int) -> dict:
-    """Solver -> (time of a sweep, time of none), s, by two numbers of sweeps."""
-    swept = {name: lambda k, name=name: solve_contacts(state, solver=fixed(name, k)) for name in solvers}
-    return {name: timing.line(solve, *counts, repeats=repeats) for name, solve in swept.items()}
+# ---- stages of a start: Figure 5.10 ----
 
 
 def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]:
@@ -191,102 +169,3 @@ def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]
     out = model.run(image)
     gather = lambda: projected(*read(out), state.world.friction)  # noqa: E731
     return {"splat": splat, "network": partial(model.run, image), "gather": gather}
-
-
-# ---- time to an error on the same states: Figure 6.10 ----
-
-TIMED = [
-    *settings_with(["none"], [BASE]),
-    *settings_with(["builtin"], ["PGS", BASE, "NNCG", "NesterovPGS"]),
-    *settings_with(["scaled", LEARNED], [BASE, "NNCG", "NesterovPGS"]),
-]
-"""The settings whose time to an error is measured."""
-
-
-def errors_of_pile(task: Mapping) -> tuple[dict, list[State]]:
-    """Errors of `TIMED` by sweeps on states of one pile, and those states that have a reference.
-
-    task: "circles", "kind", "seed", "starts": name -> description, "states" and "every" of the pile, "sweeps",
-    "past_need": sweeps from each start to the references, "exact": numbers of circles whose references are exact.
-    """
-    starts, used, errors = {name: start_of(one) for name, one in task["starts"].items()}, [], []
-    far = [method(sweeps=task["past_need"], tolerance=1e-9) for method in (PGS, NNCG)]
-    start = piles.pile(task["kind"], task["circles"], task["seed"])
-    for state in piles.states_of(start, count=task["states"], every=task["every"]):
-        impulses = {name: start(state, PGS()) for name, start in starts.items()}
-        ends = [solve(state, solver, *start) for start in impulses.values() for solver in far]
-        if references := piles.references_from(state, ends, exact=task["circles"] in task["exact"]):
-            used.append(state)
-            errors.append(errors_of(state, impulses, TIMED, task["sweeps"], references))
-    about = {"circles": task["circles"], "kind": task["kind"], "contacts": [s.contacts.count for s in used]}
-    return about | {"errors": {name: [one[name] for one in errors] for name in TIMED}}, used
-
-
-def times_on(states: Sequence[State], starts: Mapping[str, WarmStart], repeats: int) -> dict:
-    """Seconds of every start on every state, whose rows are built before, and of a sweep of every solver of `TIMED` on
-    the last state: the least of the repeats.
-    """
-    times = {name: [timing.fastest(from_rows(start, s), repeats) for s in states] for name, start in starts.items()}
-    sweeps = {}
-    if states:
-        many = 10 + max(20, 400_000 // states[-1].contacts.count)
-        swept = sweep_times(states[-1], sorted({parts_of(name)[1] for name in TIMED}), (10, many), repeats)
-        sweeps = {name: a_sweep for name, (a_sweep, _) in swept.items()}
-    return {"start_seconds": times, "sweep_seconds": sweeps}
-
-
-def sweeps_to(errors: Sequence[float], sweeps: Sequence[int], error: float) -> float:
-    """Sweeps after which an error stays within `error`, interpolated in its logarithm; infinite if it does not.
-
-    errors: after each of `sweeps`, increasing.
-    """
-    above = np.flatnonzero(np.asarray(errors) > error)
-    if above.size == 0:
-        return float(sweeps[0])
-    last = above[-1]
-    if last == len(errors) - 1:
-        return np.inf
-    high, low = np.log(errors[last]), np.log(max(errors[last + 1], 1e-300))
-    return float(sweeps[last] + (high - np.log(error)) / (high - low) * (sweeps[last + 1] - sweeps[last]))
-
-
-def price_of(piles: Iterable[Mapping]) -> dict[str, float]:
-    """Median time of the learned start on piles of one size, "ms", and "in sweeps" of PGS."""
-    seconds = float(np.median(np.concatenate([pile["start_seconds"][LEARNED] for pile in piles])))
-    a_sweep = float(np.median([pile["sweep_seconds"]["PGS"] for pile in piles]))
-    return {"ms": 1e3 * seconds, "in sweeps": seconds / a_sweep}
-
-
-def best_timed(
-    piles: Iterable[Mapping], sweeps: Sequence[int], starts: Sequence[str], error: float
-) -> tuple[str, np.ndarray]:
-    """(Name, seconds to an error on each state) of the setting of some starts with the least median time.
-
-    The time is infinite where the error is not reached, and there are no states where nothing was solved.
-    """
-    timed = {}
-    for name, (start, solver) in zip(TIMED, map(parts_of, TIMED)):
-        if start in starts:
-            timed[name] = np.array([
-                seconds + sweeps_to(errors, sweeps, error) * pile["sweep_seconds"][solver]
-                for pile in piles
-                for seconds, errors in zip(pile["start_seconds"][start], pile["errors"][name])
-            ])  # fmt: skip
-    return min(timed.items(), key=lambda one: np.median(one[1]) if one[1].size else np.inf)
-
-
-def time_ratios(piles: Iterable[Mapping], sweeps: Sequence[int], error: float) -> np.ndarray:
-    """Time of the learned start with its best solver over that of the best classical setting, state by state.
-
-    0 where only the learned start reaches the error. Empty where neither does on half of the states.
-    """
-    (_, one), (_, other) = (best_timed(piles, sweeps, starts, error) for starts in ([LEARNED], CLASSICAL))
-    done = np.isfinite(one) | np.isfinite(other)
-    return one[done] / other[done] if 2 * done.sum() > done.size else np.empty(0)
-
-
-def median_with_interval(ratios: np.ndarray) -> list[float] | None:
-    """[median, low, high]; None from fewer than `FEWEST` states."""
-    if ratios.size < FEWEST:
-        return None
-    return interval(lambda drawn: np.median(ratios[drawn], axis=1), ratios.size).tolist()

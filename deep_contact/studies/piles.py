@@ -1,16 +1,12 @@
-"""Piles that studies start from: falling, settling or resting, and the reference solutions of their states."""
+"""Piles that studies start from: falling, settling or resting."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 
 import numpy as np
 
 from deep_contact.constants import WALL_SKIN
-from deep_contact.physics import metrics
-from deep_contact.physics.engine import ContactSolution
-from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
 from deep_contact.physics.solvers import NNCG, BatchedPGS
 from deep_contact.simulation import simulate
@@ -31,15 +27,6 @@ THOROUGH = NNCG(sweeps=300)
 
 SETTLE = BatchedPGS(sweeps=10, tolerance=None, position_sweeps=3)
 """Lets a packing settle."""
-
-EXACT = 1e-8
-"""Largest residual of an exact solution, m/s."""
-
-ENOUGH = 1e-3
-"""Residual below which an approximate solution is a reference, m/s: a hundredth of what gravity adds in a step."""
-
-SAME = 1e-6
-"""Velocity error below which two references count as one."""
 
 
 def scene(n_bodies: int, seed: int, **options) -> State:
@@ -73,9 +60,9 @@ def packing(n_bodies: int, rng, *, smallest: float = 0.8, width: float = 1.0, fr
     return State(name=f"packed_{n_bodies}", world=World(box=(0, 0, *size), friction=friction), bodies=bodies)
 
 
-def packed_pile(n_bodies: int, seed: int = 0, *, steps: int = 200, smallest: float = 0.8) -> State:
+def packed_pile(n_bodies: int, seed: int = 0, *, steps: int) -> State:
     """A `packing` that settles for so many steps."""
-    scene = packing(n_bodies, np.random.default_rng(seed), smallest=smallest)
+    scene = packing(n_bodies, np.random.default_rng(seed))
     return simulate(scene, steps=steps, solver=SETTLE).state
 
 
@@ -87,24 +74,6 @@ def rms_speed(state: State) -> float:
 def states_of(start: State, *, count: int, every: int = 4) -> list[State]:
     """`count` solved states of the run that continues from a pile, one in `every` steps."""
     return solved_states(start, steps=count * every, solver=NNCG(sweeps=2000))[every - 1 :: every]
-
-
-def references_from(state: State, ends: Iterable[ContactSolution], *, exact: bool) -> list[ContactSolution]:
-    """Reference solutions, perhaps none, since a contact problem with friction has many.
-
-    ends: approximate solutions. exact: whether an exact solution is sought from each, and those that differ are
-    returned; otherwise the ends whose residual is below `ENOUGH` are.
-    """
-    if not exact:
-        return [end for end in ends if metrics.residual(state, end) < ENOUGH]
-    references: list[ContactSolution] = []
-    for end in ends:
-        if np.isfinite(metrics.residual(state, end)):
-            near = solve_exactly(state, end.normal_impulses, end.tangent_impulses, residual=EXACT)
-            others = (metrics.velocity_error(state, near.solution, other) for other in references)
-            if near.converged and all(error > SAME for error in others):
-                references.append(near.solution)
-    return references
 
 
 def without_past(state: StateWithContacts) -> StateWithContacts:

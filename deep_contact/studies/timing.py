@@ -13,7 +13,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
-from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -61,13 +60,6 @@ def interleaved(
 def fastest(function: Callable[[], object], repeats: int, clock: Callable[[], float] = time.perf_counter) -> float:
     """Least time of `repeats` calls, after a warm-up run."""
     return interleaved({"": function}, repeats=repeats, clock=clock)[""]
-
-
-def line(solve: Callable[[int], object], few: int, many: int, *, repeats: int) -> tuple[float, float]:
-    """(Time of a sweep, time of none) of a function that does a given number of sweeps."""
-    took = interleaved({k: partial(solve, k) for k in (few, many)}, repeats=repeats)
-    slope, overhead = np.polyfit(list(took), list(took.values()), 1).tolist()
-    return slope, overhead
 
 
 _PROBE = """

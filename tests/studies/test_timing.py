@@ -50,8 +50,3 @@ def test_the_ratio_is_that_of_paired_times():
     found = timing.ratio(np.array([2.0, 9.0, 8.0]), np.array([1.0, 3.0, 2.0]))
     assert (found["ratio"], found["general"], found["special"]) == (3.0, 2.0, 1.0)
     assert (found["low"], found["high"]) == (2.5, 3.5)
-
-
-def test_a_sweep_and_none_are_slope_and_overhead_of_two_numbers_of_sweeps(monkeypatch):
-    monkeypatch.setattr(timing, "interleaved", lambda runs, repeats: {k: 0.5 + 0.1 * run() for k, run in runs.items()})
-    assert timing.line(float, 10, 40, repeats=1) == pytest.approx((0.1, 0.5))
