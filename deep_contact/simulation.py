@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -17,16 +16,16 @@ import numpy as np
 from deep_contact.parallel import cores, parallel_map
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
-from deep_contact.physics.engine import ContactSolution, Steps, contacts_of, drive_of, step_input
+from deep_contact.physics.engine import ContactSolution, StepProblem, Steps, contacts_of, drive_of, step_input
 from deep_contact.physics.forces import SIDES
 from deep_contact.physics.load import has_new_load, load_of, with_a_past, with_new_load
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import PGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
-from deep_contact.physics.step import DONE, LAST_SWEEPS, WORK, StepLog, make_log, of_whole_step, some_steps
+from deep_contact.physics.step import DONE, FINITE, LAST_SWEEPS, WORK, StepLog, make_log, of_whole_step, some_steps
 from deep_contact.physics.substeps import shift_flights
 from deep_contact.presets import Accuracy, Decision, MeasuredAccuracy, PresetWarning, decide
-from deep_contact.state import Bodies, Contacts, State, StateWithContacts, World, notebook, read_only
+from deep_contact.state import Bodies, Contacts, State, StateWithContacts, World, changed, frozen, notebook, read_only
 from deep_contact.state.checks import check_types, checked_indices, checked_push, warn_of_jumps
 from deep_contact.trajectory import Trajectory
 from deep_contact.validation import brief, expect, flag, integer, number, one_of, warn
@@ -269,10 +268,12 @@ class Simulator:
         # Where nothing rubs, tangent rows go once no contact starts from a tangent impulse.
         self._may_lose_tangents = scene.world.friction == 0.0 and entry_of(solver).advance is None
         self._is_one_solve = replace(scene, solved=True).holds_solution
+        self._asks_between = callable(self._how["push"]) or not isinstance(start, (Builtin, NoStart))
         self._origin = self._now = _Now(contacts, state.step, state.time, state.solved)
         if callable(self._how["push"]):
             self._scene = scene = replace(scene, push=(np.zeros((n, 2)), np.zeros(n)))
             self._inputs = step_input(scene, solver, scales)
+        self._push = scene.push
         self._moved = tuple(bodies[:4])  # what a step changes
         if scene.world.segment_velocities:
             self._moved += (self._inputs.segments.line,)
@@ -284,7 +285,7 @@ class Simulator:
 
     def _affordable(self) -> int:
         """So many steps may be done by a call: one where the start needs Python between two steps."""
-        if not isinstance(self._start, (Builtin, NoStart)) or callable(self._how["push"]):
+        if self._asks_between:
             return 1
         return 1 + self._work // (10 * self._scene.bodies.count + 50)
 
@@ -302,11 +303,11 @@ class Simulator:
     def _state(self, taken) -> StateWithContacts:
         """The state now, with arrays of which `taken` makes what the caller gets."""
         contacts, step, time, solved = self._now
-        bodies = Bodies(*map(taken, self._scene.bodies))
-        contacts, push = Contacts(*map(np.copy, contacts)), None if callable(self._how["push"]) else self._scene.push
-        scene = replace(self._scene, world=self._world(), push=push)
-        state = replace(scene, bodies=bodies, contacts=contacts, step=step, time=time, solved=solved)
-        return replace(state, load=load_of(state))
+        bodies, contacts = Bodies(*map(taken, self._scene.bodies)), Contacts(*map(np.copy, contacts))
+        push = None if callable(self._how["push"]) else self._scene.push
+        fields = {"world": self._world(), "bodies": bodies, "contacts": contacts, "push": push, "solved": solved}
+        state = changed(self._scene, **fields, step=step, time=time)
+        return changed(state, load=load_of(state))
 
     def _world(self) -> World:
         """The world with its segments where they are now."""
@@ -317,7 +318,7 @@ class Simulator:
         """Do up to as many steps as the log has rows, or none: after an error all is as before. Returns how many."""
         before = self._now
         for kept, array in zip(self._kept, self._moved):
-            np.copyto(kept, array)
+            kept[...] = array
         impulses = before.contacts.normal_impulse.copy(), before.contacts.tangent_impulse.copy()
         still = self._steps.sleep and self._steps.sleep.still.copy()
         try:
@@ -335,26 +336,15 @@ class Simulator:
             raise
 
     def _advance_from(self, before: _Now, log: StepLog, is_watched: bool) -> int:
-        contacts, problem, inputs, scene = before.contacts, None, self._inputs, self._scene
-        if callable(push := self._how["push"]):
-            scene = replace(scene, push=checked_push(push(read_only(self.state)), scene.bodies.count))
-            drive = inputs.drive._replace(force=scene.push[0], torque=scene.push[1])
-            inputs = self._inputs = inputs._replace(drive=drive)
-        if is_watched:
-            seen = replace(
-                scene,
-                world=self._world(),
-                bodies=Bodies(*map(np.copy, scene.bodies[:4]), *scene.bodies[4:]),
-                step=before.step,
-                time=before.time,
-            )
-        if not isinstance(self._start, (Builtin, NoStart)):
-            state = replace(self.state, push=scene.push)
-            normal, tangent, problem = starting_impulses(self._start, state, scene.solver, self._scales)
-            contacts = contacts._replace(normal_start=normal, tangent_start=tangent)
+        contacts, problem, scene = before.contacts, None, self._scene
+        if self._asks_between:
+            contacts, problem = self._asked(contacts)
+        inputs = self._inputs
         if self._may_lose_tangents:
             friction = step_input(replace(scene, contacts=contacts), scene.solver, self._scales).friction
-            inputs = inputs._replace(friction=friction)
+            inputs = inputs if friction == inputs.friction else inputs._replace(friction=friction)
+        if is_watched:
+            bodies, world, push = Bodies(*map(frozen, scene.bodies)), self._world(), self._push
         begun = time.perf_counter()
         following, received = self._steps(inputs, contacts, log, problem)
         if len(log.contacts) > 1:  # how a run is divided changes no bit of it
@@ -362,7 +352,7 @@ class Simulator:
             self._work = min(MOST_WORK, 2 * self._work, 1 + int(self._work * SECONDS / seconds))
         done = int(log.progress[DONE]) // inputs.parts
         step, dt, origin = before.step + done, scene.dt, self._origin
-        if not math.isfinite(np.add.reduce(scene.bodies.position, None)):
+        if not log.progress[FINITE]:
             _raise_diverged(scene.bodies, step)
         # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
         is_even = origin.time == origin.step * dt
@@ -370,11 +360,24 @@ class Simulator:
         if is_watched:
             theta = self._steps.memory(inputs).theta[: log.progress[LAST_SWEEPS]]
             is_one_solve = log.parts[0] == 1 and scene.world.restitution == 0.0
-            solved = contacts if is_one_solve else of_whole_step(contacts, received)
-            seen = replace(seen, contacts=Contacts(*map(np.copy, solved)), solved=True)
-            self._seen = read_only(seen), convergence_record(theta, scene.solver, int(log.contacts[0]))
+            solved = Contacts(*map(frozen, contacts if is_one_solve else of_whole_step(contacts, received)))
+            fields = {"world": world, "bodies": bodies, "contacts": solved, "push": push, "solved": True}
+            seen = changed(scene, **fields, step=before.step, time=before.time)
+            self._seen = seen, convergence_record(theta, scene.solver, int(log.contacts[0]))
         self._now = _Now(following, step, now, False)
         return done
+
+    def _asked(self, contacts: Contacts) -> tuple[Contacts, StepProblem | None]:
+        """The contacts with what Python starts them from, and their problem, if it was built. Sets the push as well."""
+        push, solver, problem = self._how["push"], self._scene.solver, None
+        if callable(push):
+            self._push = force, torque = checked_push(push(read_only(self.state)), self._scene.bodies.count)
+            self._inputs = self._inputs._replace(drive=self._inputs.drive._replace(force=force, torque=torque))
+        if not isinstance(self._start, (Builtin, NoStart)):
+            state = replace(self.state, push=self._push)
+            normal, tangent, problem = starting_impulses(self._start, state, solver, self._scales)
+            contacts = contacts._replace(normal_start=normal, tangent_start=tangent)
+        return contacts, problem
 
 
 class _Now(NamedTuple):
@@ -417,8 +420,12 @@ def _prepared(state: State, solver, accuracy, warm_start, sleep, push) -> tuple[
     elif has_new_load(state):
         state = find_contacts(state)
         state = state if isinstance(start, NoStart) else with_new_load(state, solver)
+    before, now = (getattr(one, "substeps", 1) for one in (state.solver, solver))
+    if state.solver is not None:
+        state = _with_shifted_flights(state, state.dt / before - state.dt / now)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
-    return state.replace(solver=solver), start
+    preset = accuracy if isinstance(accuracy, str) else state.preset if solver == state.solver else None
+    return state.replace(solver=solver, preset=preset), start
 
 
 def find_contacts(state: State) -> StateWithContacts:
@@ -612,15 +619,24 @@ def with_time_step(state: State, dt: float) -> State:
     Where e > 0 circles in flight keep their energy (`substeps.shift_flights`).
     """
     contacts = check_types(state).contacts
-    if contacts is not None and number("dt", dt, above=0) != state.dt:
+    if dt == state.dt:
+        return state
+    if number("dt", dt, above=0) and contacts is not None:
         ratio, names = dt / state.dt, ["normal_start", "tangent_start"]
         if not state.solved:  # whose impulses are the starts
             names += ["normal_impulse", "tangent_impulse"]
         contacts = contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
-        if state.world.restitution > 0.0 and state.step > 0:
-            state = state.replace(bodies=state.bodies._replace(velocity=state.bodies.velocity.copy()))
-            shift_flights(state.bodies, contacts, state.world.gravity, state.dt - dt, drive_of(state))
+        state = _with_shifted_flights(state, (state.dt - dt) / getattr(state.solver, "substeps", 1))
     return state.replace(dt=dt, contacts=contacts)
+
+
+def _with_shifted_flights(state: StateWithContacts, change: float) -> StateWithContacts:
+    """The state of a run with e > 0 whose substeps become shorter by `change`, s: circles in flight fly on as before."""
+    if change == 0.0 or state.world.restitution == 0.0 or state.step == 0:
+        return state
+    bodies = state.bodies._replace(velocity=state.bodies.velocity.copy())
+    shift_flights(bodies, state.contacts, state.world.gravity, change, drive_of(state))
+    return changed(state, bodies=bodies)
 
 
 class Method(NamedTuple):
@@ -642,33 +658,22 @@ def method_of(state: State, solver=None, start="builtin", accuracy=None, *, slee
     decision = None
     if accuracy is not None or (solver is None and state.solver is None):
         decision = decide(state, accuracy, sleep=sleep)
-        solver, start = decision.solver, start if accuracy is None else decision.start
+        keeps = _keeps_solver(state, accuracy) and (entry_of(state.solver).can_sleep or not sleep)
+        solver, start = state.solver if keeps else decision.solver, start if accuracy is None else decision.start
     solver = checked_solver(solver, state)
-    if decision and _goes_on(state, solver):
-        solver = state.solver
     if flag("sleep", sleep) and not entry_of(solver).can_sleep:
         raise ValueError(f"sleep: expected False with {type(solver).__name__}, got True")
     named = str(start) if isinstance(start, (str, Path)) else getattr(start, "__name__", type(start).__name__)
     return Method(solver, warm_start_of(start), "none" if start is None else named, decision)
 
 
-def _goes_on(state: State, solver) -> bool:
-    """Whether a run has come to this state with this solver, but for the division of its steps, which it then keeps.
+def _keeps_solver(state: State, accuracy) -> bool:
+    """Whether a run under this preset has come to this state. It keeps its solver.
 
-    A preset divides by the speed of the fastest circle, which changes in a run. With it changes the tolerance of a
-    substep, where a stiff scene is solved to one (`stiffness`).
+    Another moment of a run can be another scene for a preset: its fastest circle is slower, its dam has broken.
     """
-    if state.step == 0 or type(state.solver) is not type(solver) or state.load not in (None, load_of(state)):
-        return False
-    before = for_state(state.solver, state)
-    divided = {"substeps": solver.substeps, "most_substeps": solver.most_substeps}
-    if (
-        before.tolerance
-        and solver.tolerance
-        and before.tolerance * before.substeps == solver.tolerance * solver.substeps
-    ):
-        divided["tolerance"] = solver.tolerance
-    return replace(before, **divided) == solver
+    came = state.step > 0 and state.solver is not None and state.load in (None, load_of(state))
+    return came and isinstance(accuracy, str) and accuracy == state.preset
 
 
 def checked_solver(solver, state: State):

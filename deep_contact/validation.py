@@ -47,7 +47,8 @@ def refuse_where(bad: np.ndarray, name: str, values: np.ndarray, expected: str) 
 
 def integer(name: str, value, least: int = 0, most: int | None = None) -> int:
     """`value` as an int from `least` to `most`, both included. A bool, and a float such as 2.0, is not an integer."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+    is_one = type(value) is int or (isinstance(value, Integral) and not isinstance(value, bool))
+    if not is_one or value < least:
         raise ValueError(f"{name}: expected an integer >= {least}, got {brief(value)}")
     if most is not None and value > most:
         raise ValueError(f"{name}: expected an integer <= {most}, got {brief(value)}")

@@ -12,6 +12,7 @@ from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact import presets
+from deep_contact.io.simulation_h5 import read_simulation, write_simulation
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import results
 from deep_contact.scene_numbers import scene_numbers
@@ -331,6 +332,26 @@ def test_a_stiff_run_that_goes_on_keeps_the_division_of_its_steps():
     bodies = dc.make_bodies([[5.0, 1.0], [5.0, 3.0]], mass=[1.0, 1e3], velocity=[0.0, -800.0])
     scene = dc.State(name="stiff", world=dc.World(), bodies=bodies)
     solver = method_of(scene, accuracy="fast").solver
-    slower = scene.replace(step=3, solver=solver, bodies=bodies._replace(velocity=np.zeros((2, 2))))
+    slower = bodies._replace(velocity=np.zeros((2, 2)))
+    slower = scene.replace(step=3, solver=solver, bodies=slower, preset="fast")
     assert presets.decide(slower, "fast").solver.substeps < solver.substeps
     assert method_of(slower, accuracy="fast").solver == solver
+
+
+@pytest.mark.parametrize("through", ["memory", "xml", "h5"])
+def test_a_run_that_goes_on_under_its_preset_keeps_its_solver(through, tmp_path):
+    """At another moment a preset can take another solver: this gas is slower, a dam has broken."""
+    scene = dc.drifting_circles(30, size=20.0, speed=5, restitution=1.0)
+    later = dc.simulate(scene, steps=37, accuracy="fast").state
+    assert presets.decide(later, "fast").solver != later.solver
+    if through == "xml":
+        dc.write_state(tmp_path / "later.xml", later)
+        later = dc.read_state(tmp_path / "later.xml")
+    if through == "h5":
+        write_simulation(tmp_path / "later.h5", [later])
+        later = read_simulation(tmp_path / "later.h5").state(0)
+    assert dc.simulate(later, steps=9, accuracy="fast").state == dc.simulate(scene, steps=46, accuracy="fast").state
+    assert method_of(later, accuracy="preview").solver == presets.decide(later, "preview").solver
+    for change in ({"dt": 0.002}, {"world": replace(later.world, restitution=0.5)}, {"solver": dc.PGS(sweeps=99)}):
+        other = later.replace(**change)
+        assert method_of(other, accuracy="fast").solver == presets.decide(other, "fast").solver

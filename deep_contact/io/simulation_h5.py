@@ -119,6 +119,7 @@ class StoredSimulation:
             shared["world"] = replace(shared["world"], segments=a["segment"][index])
         return State(
             **shared,
+            preset=self.header.get("preset"),
             bodies=Bodies(*(a[name][index].copy() for name in _BODIES), a["mass"].copy(), a["radius"].copy()),
             contacts=Contacts(*(a[name][of_contacts].copy() for name in _CONTACTS)),
             time=float(a["time"][index]),
@@ -174,7 +175,11 @@ def pack_simulation(
     if work is not None:
         arrays["work"] = _per_state("work", work, len(states), np.float64, 0.0)
     header = {name: getattr(first, name) for name in _SHARED} | {"dt": float(first.dt)}
-    header |= {"seed": _json_value("seed", seed), "options": _json_value("options", {} if options is None else options)}
+    header |= {
+        "preset": states[-1].preset,
+        "seed": _json_value("seed", seed),
+        "options": _json_value("options", {} if options is None else options),
+    }
     return StoredSimulation(header=header, arrays=arrays)
 
 
@@ -276,6 +281,8 @@ def _attributes(header: dict) -> dict:
     """The attributes of a file but its digest. Optional ones only where they are set: digests without them stay."""
     solver, world = header["solver"], header["world"]
     settings = None if solver is None else {"method": type(solver).__name__, **asdict(solver)}
+    if solver is not None and header.get("preset") is not None:
+        settings["preset"] = header["preset"]
     optional = {"scales": tuple(world.scales or ()), "segments": tuple(np.ravel(world.segments).tolist())}
     optional["surface_speeds"] = world.surface_speeds
     optional["segment_velocities"] = tuple(np.ravel(world.segment_velocities).tolist())
@@ -335,6 +342,7 @@ def _header(attributes: dict) -> dict:
             header[name] = json.loads(attributes[name])
             if name == "solver" and header[name] is not None:
                 options = dict(header[name])
+                header["preset"] = options.pop("preset", None)
                 header[name] = solver_from(options.pop("method", None), options)
         except (TypeError, ValueError, RecursionError) as error:
             expected = "null, or a method and its options" if name == "solver" else "JSON"

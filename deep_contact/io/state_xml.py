@@ -80,7 +80,7 @@ def format_state(state: State) -> bytes:
         '<?xml version="1.0" encoding="UTF-8"?>\n',
         f"<configuration name={xml_tree.quoted_attribute('name', state.name)}{_attributes(numbers)}",
         f' solved="{"true" if state.solved else "false"}">\n',
-        _format_solver(state.solver),
+        _format_solver(state.solver, state.preset),
         f"  <scales{_attributes(world.scales._asdict())}/>\n" if world.scales else "",
         _format_bodies(state.bodies, world.box),
         _format_segments(world, n),
@@ -136,6 +136,7 @@ def _read_settings(root, parts: dict) -> tuple[dict, dict]:
     world["gravity"] = tuple(read_number(root, name) for name in ("gravity_x", "gravity_y"))
     if "solver" in parts:
         settings["solver"] = _read_solver(parts["solver"])
+        settings["preset"] = parts["solver"].get("preset")
     if "scales" in parts:
         xml_tree.refuse_attributes(parts["scales"], ContactScales._fields)
         world["scales"] = ContactScales(*(read_number(parts["scales"], name) for name in ContactScales._fields))
@@ -144,7 +145,7 @@ def _read_settings(root, parts: dict) -> tuple[dict, dict]:
 
 def _read_solver(element):
     method = read_text(element, "method")
-    options = {name: _option_value(text) for name, text in element.items() if name != "method"}
+    options = {name: _option_value(text) for name, text in element.items() if name not in ("method", "preset")}
     try:
         return solver_from(method, options)
     except (TypeError, ValueError) as error:
@@ -324,12 +325,13 @@ def _option_text(name: str, value) -> str:
     return xml_tree.quoted_attribute(f"solver.{name}", text)
 
 
-def _format_solver(solver) -> str:
+def _format_solver(solver, preset: str | None) -> str:
     if solver is None:
         return ""
     if type(solver) not in METHODS.values():
         raise ValueError(f"solver: expected None or one of {', '.join(sorted(METHODS))}, got {solver!r}")
     text = "".join(f" {name}={_option_text(name, value)}" for name, value in dataclasses.asdict(solver).items())
+    text += "" if preset is None else f" preset={xml_tree.quoted_attribute('preset', preset)}"
     return f'  <solver method="{type(solver).__name__}"{text}/>\n'
 
 

@@ -28,20 +28,23 @@ from deep_contact.physics.contact_solver import (
     room_for_walls,
     store_impulses,
 )
-from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
+from deep_contact.physics.convergence import ConvergenceRecord, all_finite, convergence_record
 from deep_contact.physics.impacts import rebound
 from deep_contact.physics.position_correction import correct_positions
 from deep_contact.physics.segments import has_moving, moved_segments, positions_before, segments_in_grid
 from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
 from deep_contact.physics.step import (
     DONE,
+    FINITE,
     WORK,
     Drive,
+    Given,
     Motion,
     StepInput,
     StepLog,
     StepMemory,
     StepOptions,
+    give,
     impulses_of,
     is_asked,
     log_impulses,
@@ -58,16 +61,17 @@ from deep_contact.state.scales import ContactScales, mean
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance(step, motion, contacts, sleep, options, memory, log, drive):
+def advance(given, contacts, motion, sleep, log, drive):
     """Do as many steps as the log has rows, or until its work is done: the bodies move in place.
 
     Each step is as many substeps as the solver asks for, and motion may divide these (`substeps`). What nothing in the
     scene requires is not compiled: segments, restitution, motion, sleep, and what stops fast circles: without that the
     call ends before the first substep that has one, and the next call goes on there.
     Returns the contacts found, in memory that the next call writes into, and `StepLog.received`.
-    step: `StepInput`. motion: its own, None where it has nothing rare. sleep: `SleepMemory`, None where nothing may.
-    options: `StepOptions`. memory: `StepMemory`. log: `StepLog`, filled. drive: the step's own.
+    given: `Given`. motion, drive: of its step; motion is None where it has nothing rare. sleep: `SleepMemory`, None
+    where nothing may. log: `StepLog`, filled.
     """
+    step, options, memory = given.step, given.options, given.memory
     if drive is not None:
         step = with_segments(step, moved_segments(step.segments, drive, 0.0))
     part, turn, received = step, 0, log.received
@@ -100,6 +104,7 @@ def advance(step, motion, contacts, sleep, options, memory, log, drive):
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
+    log.progress[FINITE] = all_finite(step.bodies.position)
     return contacts, received
 
 
@@ -169,7 +174,8 @@ class Steps:
         self._is_plain = not (sleep or entry.advance)  # whether nothing rare is compiled; once False, it stays
         self._options = StepOptions(settings_of(solver), solver.position_sweeps, carry)
         self._solver, self._memory, self._direct = solver, {}, {}
-        self._asked = self._given = None  # the last input of steps, and what was made of it
+        self._asked = self._rare = None  # the last input of steps, and that of `with_rare`
+        self._given: dict = {}  # by buffer: the last input of steps, and what compiled code is given for it
         self._found: tuple = (None, -1, False)  # indices of the contacts found last, their buffer and its memory
         self.sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
 
@@ -220,12 +226,11 @@ class Steps:
         problem: of the one step to do, if it has been built; it is used up. Who may sleep has rows of their own.
         Returns the contacts found, in memory that the next call leaves as it is, and `StepLog.received`.
         """
-        memories, key = self._memories(step, contacts.count), step.friction is None
+        key, before, built = step.friction is None, 0, None
         buffer = self._buffer_of(contacts, key)
-        memory, before = memories[buffer], 0
         if problem is not None and self.sleep is None and step.parts == motion_parts(self._solver) == 1:
             rows, solver_bodies, _, impacts = started(problem, contacts, step.friction)
-            memory = memory._replace(rows=rows, solver_bodies=solver_bodies, is_built=True)
+            built = {"rows": rows, "solver_bodies": solver_bodies, "is_built": True}
             if step.drive is not None:
                 log.work[0] += work_on(step, contacts, impacts)
             if is_asked(log):
@@ -237,20 +242,30 @@ class Steps:
             kind = self._is_plain, key, step.drive is None  # what the types of all arguments depend on
             if kind not in self._direct:
                 self._direct[kind] = Direct(self._advance)
-            given = step, step.motion, contacts, self.sleep, self._options, memory, log, step.drive
-            following, received = self._direct[kind](*given)
+            given = self._given_of(step, buffer, contacts.count, built)
+            following, received = self._direct[kind](given, contacts, step.motion, self.sleep, log, step.drive)
             parts = int(log.parts[0] if len(log.parts) == 1 else log.parts.sum())
             following, before = self._keep(following, parts - before, buffer, key), parts
             if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.parts * len(log.contacts):
                 return following, received
             # A circle is fast. What has been built is used up.
+            self._is_plain, contacts, log, built = False, following, log._replace(received=received), None
             buffer = self._buffer_of(following, key)
-            self._is_plain, contacts, memory, log = False, following, memories[buffer], log._replace(received=received)
+
+    def _given_of(self, step: StepInput, buffer: int, contacts: int, built: dict | None) -> Given:
+        """What compiled code is given for contacts in a buffer. built: what has been built of its memory, by name."""
+        before, given = self._given.get(buffer, (None, None))
+        if built is not None or before is not step:
+            memory = self._memories(step, contacts)[buffer]
+            given = give(step, self._options, memory._replace(**built) if built else memory)
+            if built is None:
+                self._given[buffer] = step, given
+        return given
 
     def _with_rare(self, step: StepInput) -> StepInput:
         if step is not self._asked:
-            self._asked, self._given = step, with_rare(step)
-        return self._given
+            self._asked, self._rare = step, with_rare(step)
+        return self._rare
 
 
 _BUFFERS = (1, 2), (0, 2), (0, 1), (0, 1)

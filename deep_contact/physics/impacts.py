@@ -183,7 +183,7 @@ def approaching(step, contacts, count, now, floor, slowest, drive):
         floor,
     )
     up_x, up_y = -0.5 * step.dt * step.gravity[0], -0.5 * step.dt * step.gravity[1]
-    struck = 0
+    struck = np.int64(0)  # the literal 0 has a type of its own, for which `rub` would be compiled once more
     for k in range(count):
         i = near[k]
         a, b, n_x, n_y = body_a[i], body_b[i], normal[i, 0], normal[i, 1]
@@ -237,7 +237,7 @@ def contacts_of_circles(contacts, n):
 @njit(inline="always")
 def join(bodies, contacts, struck, now):
     """Join the circles of the contacts that rebound to clusters, in place. Returns the number of these circles."""
-    n, count = bodies.mass.shape[0], 0
+    n, count = bodies.mass.shape[0], np.int64(0)
     for k in range(struck):
         i, x = now.near[k], now.approach[k]
         a, b = contacts.body_a[i], min(contacts.body_b[i], n)

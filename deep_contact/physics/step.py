@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.compiled import njit
+from deep_contact.compiled.structures import Structure, StructureType, define
 from deep_contact.physics.collision import Cells, make_cells, make_contacts
 from deep_contact.physics.contact_solver import Rows, make_rows
 from deep_contact.physics.position_correction import CorrectionRoom, make_correction_room
@@ -81,6 +82,23 @@ class StepMemory(NamedTuple):
     is_built: bool = False  # whether solver bodies and rows are those of the one step to come (`engine.StepProblem`)
 
 
+class _GivenType(StructureType):
+    """Numba's type of what is given."""
+
+
+class Given(Structure):
+    """What steps are given that stays from call to call: a `StepInput`, `StepOptions` and a `StepMemory`."""
+
+
+define(Given, _GivenType, ("step", "options", "memory"))
+
+
+@njit(cache=True)
+def give(step, options, memory):
+    """Put together what steps are given."""
+    return Given(step, options, memory)
+
+
 def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
     """Memory of steps of n circles, with room for so many contacts; where there are more, single steps take their own.
 
@@ -92,9 +110,9 @@ def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
     )  # fmt: skip
 
 
-DONE, WORK, LAST_SWEEPS, WATCHED = range(4)
+DONE, WORK, LAST_SWEEPS, WATCHED, FINITE = range(5)
 """Elements of `StepLog.progress`: substeps done; the work, in relaxations, after which a call ends; sweeps of the last
-part; whether the call is one step whose impulses are logged in `StepLog.received`."""
+part; whether the call is one step whose impulses are logged in `StepLog.received`; whether all positions are finite."""
 
 PAIR, X, Y, N_X, N_Y, SEPARATION, P_X, P_Y = range(8)
 """Columns of `StepLog.received`: the two bodies as one number (`pair_of`); the place, m, normal and separation, m, with
@@ -115,7 +133,7 @@ class StepLog(NamedTuple):
     theta: np.ndarray  # the last, N·s
     relaxations: np.ndarray
     parts: np.ndarray  # of a step
-    progress: np.ndarray  # (4,): `DONE`, `WORK`, `LAST_SWEEPS`, `WATCHED`
+    progress: np.ndarray  # (5,): `DONE`, `WORK`, `LAST_SWEEPS`, `WATCHED`, `FINITE`
     loads: np.ndarray  # (4 + S, 2): the sum of all that walls and segments received, N·s; (0, 2) where nobody asks
     received: np.ndarray  # (k, 8): what pairs received in a step that is watched, sorted by `PAIR`: rebounds and solves
     on_circles: np.ndarray  # (n, 2): the sum of what contacts gave to the circles, N·s; (0, 2) where nobody asks
@@ -125,13 +143,13 @@ class StepLog(NamedTuple):
 def make_log(steps: int, loads: int = 0, circles: int = 0) -> StepLog:
     """A log for so many steps, which one call may do all. loads, circles: walls and segments, and circles, or 0."""
     columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64, np.int64))
-    progress = np.array([0, np.iinfo(np.int64).max, 0, 0])
+    progress = np.array([0, np.iinfo(np.int64).max, 0, 0, 1])
     return StepLog(*columns, progress, np.zeros((loads, 2)), np.zeros((0, 8)), np.zeros((circles, 2)), np.zeros(1))
 
 
 def some_steps(log: StepLog, first: int, count: int, work: int, is_watched: bool) -> StepLog:
     """The rows of a log from `first` on, as views, for a call that ends after so much work."""
-    progress = np.array([0, work, 0, is_watched])
+    progress = np.array([0, work, 0, is_watched, 1])
     return StepLog(*(column[first : first + count] for column in log[:5]), progress, *log[6:])
 
 

@@ -182,7 +182,7 @@ def check_state(state: State) -> State:
     bodies, contacts = check_bodies(state.bodies), state.contacts
     if contacts is not None:
         contacts = check_contacts(contacts, bodies, len(state.world.segments))
-    return state.replace(bodies=bodies, contacts=contacts)
+    return state.replace(bodies=bodies, contacts=contacts, preset=state.preset)
 
 
 def check_types(state) -> State:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections import namedtuple
 from dataclasses import InitVar, dataclass
-from types import SimpleNamespace
 
 import numpy as np
-from numba import config, types
-from numba.experimental import structref
 
 from deep_contact.compiled import njit
 from deep_contact.compiled.direct import Direct
 from deep_contact.compiled.simd import WIDTH, lane, least, load, load_rows, most, spread, store, store_rows
+from deep_contact.compiled.structures import Structure, StructureType, define
 from deep_contact.constants import POSITION_TOLERANCE
 from deep_contact.physics import batches, collision
 from deep_contact.physics.batches import BLOCKS, CONTACTS
@@ -41,6 +39,7 @@ from deep_contact.physics.solvers.pgs import PGS
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
 from deep_contact.physics.step import (
     DONE,
+    FINITE,
     WORK,
     impulses_of,
     is_asked,
@@ -160,55 +159,35 @@ def correct_positions_in_batches(plan, tiles, bodies, scales, sweeps):
     take_centres(centre, bodies)
 
 
-_FIELDS = ("plan", "tiles", "solved", "contacts", "memory", "received")
-"""What the steps of a run hand on, in a `Room`, whose fields they replace where they are too small.
+class _RoomType(StructureType):
+    """Numba's type of a `Room`."""
 
-plan: `BatchPlan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and this one. memory: `StepMemory`.
-received: of `StepLog`.
-"""
 
-if config.DISABLE_JIT:
+class Room(Structure):
+    """What the steps of a run hand on, whose fields they replace where they are too small.
 
-    def Room(*values):
-        return SimpleNamespace(**dict(zip(_FIELDS, values)))
-else:
+    plan: `BatchPlan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and this one. memory:
+    `StepMemory`. received: of `StepLog`.
+    """
 
-    @structref.register
-    class _RoomType(types.StructRef):
-        """Numba's type of a `Room`."""
 
-        def preprocess_fields(self, fields):
-            return tuple((name, types.unliteral(kind)) for name, kind in fields)
-
-    class Room(structref.StructRefProxy):
-        """The fields for compiled code."""
-
-    structref.define_proxy(Room, _RoomType, list(_FIELDS))
+define(Room, _RoomType, ("plan", "tiles", "solved", "contacts", "memory", "received"))
 
 
 @njit(cache=True)
-def make_room(contacts, memory):
-    """A `Room` for steps that start from these contacts."""
+def make_room(contacts, given):
+    """A `Room` for steps that start from these contacts. given: `Given`."""
+    memory = given.memory
     n = memory.cells.cell.shape[0]
     plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1)
     return Room(plan, tiles, contacts, contacts, memory, np.zeros((0, 8)))
 
 
-@njit(cache=True)
-def go_on(room, contacts, memory, received):
-    """Let the next steps start from these contacts in this memory, in place. received: of `StepLog`."""
-    room.contacts, room.memory, room.received = contacts, memory, received
-
-
-@njit(cache=True)
-def contacts_in(room):
-    """The contacts that the next step starts from, and `StepLog.received`."""
-    return room.contacts, room.received
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance_in_batches(step, options, log, room, drive):
-    """`engine.advance` for `BatchedPGS`. The contacts are left in `room`, a `Room`."""
+def advance_in_batches(given, contacts, room, log, drive):
+    """`engine.advance` for `BatchedPGS`. room: a `Room`, which each call leaves to the next."""
+    step, options = given.step, given.options
+    room.contacts, room.memory, room.received = contacts, given.memory, log.received
     if drive is not None:
         step = with_segments(step, moved_segments(step.segments, drive, 0.0))
     part, turn, buffers = step, 0, room.memory.contacts
@@ -229,6 +208,8 @@ def advance_in_batches(step, options, log, room, drive):
             break
     where = step.bodies.position, step.bodies.radius, step.box, step.segments, step.scales.wall_skin
     collision.write_geometry(*where, room.contacts, 0)
+    log.progress[FINITE] = all_finite(step.bodies.position)
+    return room.contacts, room.received
 
 
 @njit(inline="always")
@@ -316,16 +297,13 @@ class _Run:
     """`engine.advance` for a run."""
 
     def __init__(self, solver: BatchedPGS):
-        self._room, self._go_on, self._contacts_in = None, Direct(go_on), Direct(contacts_in)
-        self._plain, self._driven = Direct(advance_in_batches), Direct(advance_in_batches)
+        self._room, self._plain, self._driven = None, Direct(advance_in_batches), Direct(advance_in_batches)
 
-    def __call__(self, step, motion, contacts, sleep, options, memory, log, drive):
+    def __call__(self, given, contacts, motion, sleep, log, drive):
         """As `engine.advance`."""
         if self._room is None:
-            self._room = make_room(contacts, memory)
-        self._go_on(self._room, contacts, memory, log.received)
-        (self._plain if drive is None else self._driven)(step, options, log, self._room, drive)
-        return self._contacts_in(self._room)
+            self._room = make_room(contacts, given)
+        return (self._plain if drive is None else self._driven)(given, contacts, self._room, log, drive)
 
 
 _LOOP = Loop(BatchSettings, relax_in_batches)
