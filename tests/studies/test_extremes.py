@@ -160,13 +160,14 @@ def test_what_is_not_a_number_has_no_contacts_and_does_not_end_the_process():
     assert contacts_of(scene.replace(bodies=scene.bodies._replace(position=position))).count == 0
 
 
-def test_a_solver_that_diverges_beyond_all_numbers_says_so(monkeypatch):
+@pytest.mark.parametrize("solver", [dc.PGS(), dc.BatchedPGS()])
+def test_a_solver_that_diverges_beyond_all_numbers_says_so(solver, monkeypatch):
     # Without the limit on a start the sweeps end in NaN, and that is said at once.
     monkeypatch.setattr(warm_start, "LARGEST_START", 1.7e308)
     state = ready(extremes.silo(3))
     huge = lambda state, solver: (np.full(state.contacts.count, 1.7e308),) * 2  # noqa: E731
     with pytest.raises(FloatingPointError, match=r"up to step 1: circle 0 \(mass .*the solver diverged; try PGS"):
-        dc.simulate(state, steps=5, solver=dc.PGS(), warm_start=huge)
+        dc.simulate(state, steps=5, solver=solver, warm_start=huge)
 
 
 @pytest.mark.parametrize("sweeps", [1, 3, 20])
