@@ -631,7 +631,7 @@ def with_time_step(state: State, dt: float) -> State:
 
 
 def _with_shifted_flights(state: StateWithContacts, change: float) -> StateWithContacts:
-    """The state of a run with e > 0 whose substeps become shorter by `change`, s: circles in flight fly on as before."""
+    """The state of a run with e > 0 whose substeps become shorter by `change`, s: what flies flies on as before."""
     if change == 0.0 or state.world.restitution == 0.0 or state.step == 0:
         return state
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy())
