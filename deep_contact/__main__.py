@@ -110,8 +110,14 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add("state", nargs="?", metavar="STATE.xml", help=text)
     add("--bodies", type=int, metavar="N", help="circles of the scene (default: 100)")
     add("--size", type=float, metavar="M", help="side of its box, m (default: 30)")
+    text = "of its circles, or the smallest and the largest, m (default: 1)"
+    add("--radius", type=float, nargs="+", metavar="R", help=text)
     add("--seed", type=int, metavar="N", help="of the scene, an integer >= 0 (default: 0)")
     add("--no-gravity", action="store_true", help="circles that drift and collide, instead of 9.81 m/s²")
+    text = "downwards, or its x and y, m/s² (default: the state's, 9.81 in a scene)"
+    add("--gravity", type=float, nargs="+", metavar="G", help=text)
+    add("--friction", type=float, metavar="MU", help="coefficient μ (default: the state's, 0.5 in a scene)")
+    add("--restitution", type=float, metavar="E", help="coefficient e, 0 to 1 (default: the state's, 0 in a scene)")
     add("--steps", type=int, default=600, metavar="N", help="time steps to run (default: %(default)s)")
     add("--sweeps", type=int, metavar="N", help="most sweeps of the solver in a step (default: the state's own)")
     text = "steps between two states of an .h5, or of a film (default: %(default)s)"
@@ -216,18 +222,34 @@ def _trade(args) -> int:
 
 
 def _scene(args):
+    from dataclasses import replace
+
     import deep_contact as dc
-    from deep_contact.validation import integer
+    from deep_contact.physics.load import load_of
+    from deep_contact.validation import expect, integer
 
     if args.sweeps is not None:
         integer("--sweeps", args.sweeps, least=1)
-    options = {"n_bodies": args.bodies, "size": args.size, "seed": args.seed}
-    options = {name: value for name, value in options.items() if value is not None}
+    radius, gravity = args.radius, args.gravity
+    for flag, values in (("--radius", radius), ("--gravity", gravity)):
+        expect(not values or len(values) < 3, f"{flag}: expected one number or two, got {values}")
+    expect(not (gravity and args.no_gravity), f"--gravity: expected none beside --no-gravity, got {gravity}")
+    if gravity and len(gravity) == 1:
+        gravity = (0.0, 0.0 - gravity[0])
+    world = {"gravity": gravity, "friction": args.friction, "restitution": args.restitution}
+    world = {name: value for name, value in world.items() if value is not None}
     if args.state is None:
-        return (dc.drifting_circles if args.no_gravity else dc.circles_in_box)(**options)
-    if options or args.no_gravity:
-        raise ValueError("options of a scene: expected none beside STATE.xml, which is a scene already")
-    return dc.load_trajectory(args.state)[-1] if args.state.endswith(".h5") else dc.read_state(args.state)
+        radius = radius and (radius * 2)[:2]
+        options = {"n_bodies": args.bodies, "size": args.size, "radius": radius, "seed": args.seed}
+        options = {name: value for name, value in options.items() if value is not None}
+        return (dc.drifting_circles if args.no_gravity else dc.circles_in_box)(**options, **world)
+    for name in ("bodies", "size", "radius", "seed", "no_gravity"):
+        value, flag = getattr(args, name), f"--{name.replace('_', '-')}"
+        is_left_out = value is None or value is False
+        expect(is_left_out, f"{flag}: expected none beside STATE.xml, which is a scene already, got {value}")
+    state = dc.load_trajectory(args.state)[-1] if args.state.endswith(".h5") else dc.read_state(args.state)
+    # Its impulses are those of its own world: in another one they are solved anew.
+    return state.replace(load=load_of(state), world=replace(state.world, **world)) if world else state
 
 
 KINDS = {

@@ -74,8 +74,13 @@ def compute(options, seed, jobs, progress):
     described = {"none": "none", "builtin": "builtin"} | {name: of | grid for name, of in starts.CHOSEN.items()}
     described |= {name: {"model": path} for name, path in networks.items()} | {"copy": "copy"}
     every = {name: starts.start_of(description) for name, description in described.items()}
+
+    def scene(n_bodies, seed):
+        world = {name: options[name] for name in ("friction", "restitution")}
+        return piles.scene(n_bodies, seed, **world).replace(dt=options["dt"])
+
     for size, count, after, most in zip(*(options[name] for name in ("sizes", "states", "every", "most"))):
-        fallen = [piles.pile("settling", size, one) for one in parallel.seeds(seed, options["scenes"])]
+        fallen = [piles.pile("settling", size, one, make=scene) for one in parallel.seeds(seed, options["scenes"])]
         states = [piles.states_of(pile, count=count, every=after) for pile in fallen]
         flat, refused = [state for of_scene in states for state in of_scene], {}
         for name in networks:
@@ -193,7 +198,7 @@ def draw(data, options):
     return figure
 
 
-OPTIONS = {
+OPTIONS = starts.THESIS_WORLD | {
     "sizes": [100, 1000], "scenes": 10, "states": [4, 1], "every": [25, 100], "most": [10000, 20000], "repeats": 3,
     "spacing": starts.SPACING, "networks": chapter_5.NETWORKS,
 }  # fmt: skip

@@ -20,7 +20,7 @@ def compute(options, seed, jobs, progress):
     scenes = []
     solve = partial(dc.solve_contacts, solver=dc.PGS(sweeps=options["sweeps"], tolerance=None))
     for scene_seed in progress([seed, *parallel.seeds(seed, options["scenes"] - 1)], text="scenes"):
-        scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=scene_seed)
+        scene = starts.scene_of(options, scene_seed)
         states = starts.solved_states(scene, steps=options["steps"], contacts_only=False)
         timed = [state for state in states[:: options["every"]] if state.contacts.count]
         scenes.append({
@@ -85,7 +85,7 @@ def draw(data, options):
     return figure
 
 
-OPTIONS = {"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "every": 6, "scenes": 12}
+OPTIONS = starts.THESIS_SETTINGS | {"every": 6}
 QUICK = {"sweeps": 1000, "every": 5, "scenes": 1}
 FIGURE = Figure("5.2", "Contacts, and the time their solution takes", compute, None, draw, claims, options=OPTIONS,
                 quick=QUICK)  # fmt: skip

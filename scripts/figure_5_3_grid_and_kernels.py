@@ -5,6 +5,7 @@ import numpy as np
 import deep_contact as dc
 from deep_contact import sph
 from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact.studies import starts
 
 SMALLEST = 0.5**0.5
 """The thesis's lower bound for h / d, section 5.1.3."""
@@ -12,8 +13,7 @@ SMALLEST = 0.5**0.5
 
 def compute(options, seed, jobs, progress):
     """The pile after some steps, and how many nodes each contact reaches for several h / d and several d."""
-    scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
-    state = dc.simulate(scene, steps=options["steps"], solver=dc.PGS()).state
+    state = dc.simulate(starts.scene_of(options, seed), steps=options["steps"], solver=dc.PGS()).state
     if not state.contacts.count:
         raise ValueError(f"steps: expected enough of them for contacts, got none after {options['steps']}")
     box, d = state.world.box, options["d"]
@@ -70,9 +70,8 @@ def draw(data, options):
     return figure
 
 
-OPTIONS = {
-    "n_bodies": 100, "size": 30.0, "steps": 200, "d": 0.5, "h": 0.5, "h_over_d": [0.4, 0.71, 1.0, 2.0],
-    "cells": [0.25, 0.5, 0.7, 1.0],
+OPTIONS = starts.THESIS_SCENE | {
+    "steps": 200, "d": 0.5, "h": 0.5, "h_over_d": [0.4, 0.71, 1.0, 2.0], "cells": [0.25, 0.5, 0.7, 1.0],
 }  # fmt: skip
 FIGURE = Figure("5.3", "Grid nodes and kernels over a scene", compute, None, draw, claims, options=OPTIONS)
 figures.run_as_script(FIGURE, __name__)

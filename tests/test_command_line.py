@@ -173,6 +173,26 @@ def test_options_left_out_are_those_of_the_state(tmp_path):
     assert dc.read_state(out).solver == dc.PGS(position_sweeps=7, sweeps=7, tolerance=6e-5)  # of the thesis's circles
 
 
+def test_flags_change_the_world_of_a_scene_and_of_a_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    world = ["--friction", "0.2", "--restitution", "0.4", "--dt", "0.004"]
+    scene = ["--bodies", "3", "--radius", "0.5", "0.7", "--gravity", "1.62"]
+    assert main(["simulate", *world, *scene, "--steps", "0", "--out", "moon.xml"]) == 0
+    moon = {"friction": 0.2, "restitution": 0.4, "gravity": (0.0, -1.62)}
+    state = dc.read_state("moon.xml")
+    assert state.bodies == dc.circles_in_box(3, radius=(0.5, 0.7), **moon).bodies
+    assert (state.world, state.dt) == (dc.World(**moon), 0.004)
+    other = ["--friction", "1", "--gravity", "2", "-3"]
+    assert main(["simulate", "moon.xml", *other, "--steps", "0", "--out", "x.xml"]) == 0
+    assert dc.read_state("x.xml").world == dc.World(friction=1.0, restitution=0.4, gravity=(2.0, -3.0))
+
+
+def test_a_pile_of_a_file_whose_gravity_is_taken_away_stays(scene, tmp_path):
+    # Its impulses held it up: kept, they would throw it up (`physics.load`).
+    assert main(["simulate", str(scene), "--gravity", "0", "--steps", "2", "--out", str(tmp_path / "x.xml")]) == 0
+    assert np.abs(dc.read_state(tmp_path / "x.xml").bodies.velocity).max() < 1e-3
+
+
 def test_a_run_of_a_scene_is_stored_with_one_state_in_so_many_steps(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     arguments = ["--bodies", "5", "--size", "12", "--seed", "3", "--steps", "9", "--every", "4", "--out", "run.h5"]
@@ -208,6 +228,13 @@ def test_an_accuracy_picks_the_solver(capsys):
         (["simulate", "--steps", "-1"], "steps: expected"),
         (["simulate", "scene.xml", "--bodies", "3"], "expected none beside STATE.xml"),
         (["simulate", "--every", "0", "--out", "film.gif"], "expected"),
+        (["simulate", "scene.xml", "--radius", "2"], "--radius: expected none beside STATE.xml"),
+        (["simulate", "scene.xml", "--no-gravity"], "--no-gravity: expected none beside STATE.xml"),
+        (["simulate", "--gravity", "1", "--no-gravity"], "--gravity: expected none beside --no-gravity, got [1.0]"),
+        (["simulate", "--gravity", "1", "2", "3"], "--gravity: expected one number or two, got [1.0, 2.0, 3.0]"),
+        (["simulate", "--radius", "2", "1"], "radius: expected finite 0 < smallest <= largest"),
+        (["simulate", "--friction", "-1"], "friction: expected a finite number >= 0, got -1.0"),
+        (["simulate", "--restitution", "2"], "restitution: expected a finite number >= 0 and <= 1, got 2.0"),
     ],
 )
 def test_bad_arguments_exit_with_2_and_name_the_fault(arguments, message, tmp_path, monkeypatch, capsys):

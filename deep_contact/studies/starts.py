@@ -26,13 +26,20 @@ from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import State, StateWithContacts, World
 from deep_contact.state.checks import make_bodies
 from deep_contact.studies import verdicts
+from deep_contact.validation import number, one_of
 from deep_contact.warm_start import Cnn, Sph, Start, WarmStart, warm_start_of
 
 THRESHOLD = constants.THETA_TOLERANCE
 """θ at which a solve counts as done where sweeps are counted, N·s."""
 
-THESIS_SETTINGS = {"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "scenes": 12}
-"""Options of the thesis's comparisons: circles, side of the box in m, steps, sweeps a step; its scenes are fewer."""
+THESIS_WORLD = {"friction": constants.FRICTION, "restitution": constants.RESTITUTION, "dt": constants.TIME_STEP}
+"""Options of every scene that figures simulate."""
+
+THESIS_SCENE = {"n_bodies": 100, "size": 30.0} | THESIS_WORLD
+"""Options of the thesis's scene (`scene_of`)."""
+
+THESIS_SETTINGS = THESIS_SCENE | {"steps": 600, "sweeps": 3000, "scenes": 12}
+"""Options of the thesis's comparisons: its scene, steps, sweeps a step; its scenes are fewer."""
 
 THOROUGH = PGS()
 """Solves the states of a run to the tolerance of the thesis's authors' code."""
@@ -148,18 +155,22 @@ def start_of(description) -> WarmStart:
     return Cnn(**description)
 
 
-def scene_of(n_bodies: int | Sequence[int], *, size: float, seed: int) -> State:
-    """The thesis's scene of `n_bodies` circles; of a pair (low, high), a random number of that range."""
-    rng = np.random.default_rng(seed)
+def scene_of(options: Mapping, seed: int) -> State:
+    """The thesis's scene with those of `THESIS_SCENE` that the options have, among others.
+
+    "n_bodies" may be a pair (low, high): a random number of that range.
+    """
+    rng, world = np.random.default_rng(seed), {name: options.get(name, own) for name, own in THESIS_SCENE.items()}
+    n_bodies, dt = world.pop("n_bodies"), number("dt", world.pop("dt"), above=0)
     if not isinstance(n_bodies, (int, np.integer)):
         n_bodies = int(rng.integers(*n_bodies, endpoint=True))
-    return circles_in_box(n_bodies, size=size, seed=rng)
+    return circles_in_box(n_bodies, **world, seed=rng).replace(dt=dt)
 
 
-def _run(task: tuple, *, n_bodies, size, steps, sweeps) -> dict[str, dict]:
+def _run(task: tuple, *, steps, sweeps, **scene_options) -> dict[str, dict]:
     """One part of `compare_starts`, small enough to be sent to another process: (mode, seed, starts)."""
     mode, seed, descriptions = task
-    scene = scene_of(n_bodies, size=size, seed=seed)
+    scene = scene_of(scene_options, seed)
     starts = {name: start_of(description) for name, description in descriptions.items()}
     if mode == "independent":
         return {name: independent(scene, start, steps=steps, sweeps=sweeps) for name, start in starts.items()}
@@ -170,8 +181,6 @@ def _run(task: tuple, *, n_bodies, size, steps, sweeps) -> dict[str, dict]:
 def compare_starts(
     starts: Mapping,
     *,
-    n_bodies: int | Sequence[int] = 100,
-    size: float = 30.0,
     steps: int = 600,
     sweeps: int = 3000,
     scenes: int = 1,
@@ -179,17 +188,20 @@ def compare_starts(
     seed: int = 0,
     jobs: int = 1,
     progress: Callable | None = None,
+    **scene_options,
 ) -> dict:
     """The thesis's comparison of starts over `scenes` scenes, as data of a results file.
 
-    starts: name -> description (`start_of`). n_bodies: see `scene_of`. modes: of `MODES`.
+    starts: name -> description (`start_of`). modes: of `MODES`. scene_options: of `scene_of`.
     Returns {"sweep": (k,), "threshold": N·s, "paired": {name: …}, "independent": {name: …}} where … is
     {"theta": mean θ after these sweeps (k,), "sweeps": {"mean", "median"} until `THRESHOLD`, "states": number,
     "scenes": {"theta": mean θ of each scene (scenes, k), four digits, "states": number, (scenes,)}}.
     """
     together = {"paired": [dict(starts)], "independent": [{name: start} for name, start in starts.items()]}
+    for name in scene_options:
+        one_of("scene_options", name, THESIS_SCENE)
     tasks = [(mode, scene, some) for scene in seeds(seed, scenes) for mode in modes for some in together[mode]]
-    run = partial(_run, n_bodies=n_bodies, size=size, steps=steps, sweeps=sweeps)
+    run = partial(_run, steps=steps, sweeps=sweeps, **scene_options)
     done = parallel_map(run, tasks, jobs=jobs, progress=progress, text="scenes and starts")
     sample = np.unique(np.round(np.geomspace(1, sweeps, 160)).astype(np.int64))  # even on a logarithmic axis
     data = {"sweep": sample.tolist(), "threshold": THRESHOLD} | {mode: {} for mode in modes}
@@ -420,7 +432,7 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
     """Figure 3.6 or 5.1: snapshots of the thesis's scene at these times, s, coloured by speed or impulse."""
 
     def compute(options, seed, jobs, progress):
-        scene = circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
+        scene = scene_of(options, seed)
         steps = [round(t / scene.dt) for t in options["times"]]
         states = solved_states(scene, steps=max(steps) + 1, contacts_only=False)
         return {"snapshots": [plotting.state_data(states[step]) for step in steps]}
@@ -445,5 +457,4 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
         figure.suptitle(f"{title} (colours and widths end at the {SHOWN}th percentile)")
         return figure
 
-    options = {"n_bodies": 100, "size": 30.0, "times": list(times)}
-    return Figure(id, title, compute, draw=draw, options=options)
+    return Figure(id, title, compute, draw=draw, options=THESIS_SCENE | {"times": list(times)})

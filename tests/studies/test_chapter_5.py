@@ -124,6 +124,24 @@ def test_a_start_that_is_given_up_counts_with_all_its_sweeps(falling_states):
     assert (few["sweeps"], few["missed"]) == ([2], 1)
 
 
+def test_friction_restitution_and_dt_are_settings_of_a_scene():
+    small = {"n_bodies": 12, "size": 14.0, "times": [0.5], "friction": 0.1, "restitution": 0.7, "dt": 0.005}
+    figure = load_script("figure_3_6").FIGURE
+    (shown,) = figure.compute(figure.settings(small, quick=False), 1, 1, None)["snapshots"]
+    scene = dc.circles_in_box(12, size=14.0, friction=0.1, restitution=0.7, seed=1).replace(dt=0.005)
+    state = dc.simulate(scene, steps=100, solver=starts.THOROUGH).state
+    np.testing.assert_array_equal(shown["bodies"].position, state.bodies.position)
+    assert figure.changed(figure.settings({"dt": 0.005}, quick=False)) == ["dt=0.005"]
+
+
+@pytest.mark.parametrize(
+    "number", ["3_6", "3_7", "3_8", "5_1", "5_2", "5_3", "5_4", "5_5", "5_6", "5_7", "5_9", "5_10"]
+)
+def test_every_figure_of_chapters_3_and_5_that_simulates_has_them(number):
+    figure = load_script(f"figure_{number}").FIGURE
+    assert {"friction": 0.5, "restitution": 0.0, "dt": 0.01}.items() <= figure.options.items()
+
+
 def test_the_spacing_of_the_grid_is_a_setting_and_what_is_compared_can_be_drawn():
     small = {"n_bodies": 12, "size": 14.0, "steps": 60, "sweeps": 5, "scenes": 1}
     figure = load_script("figure_5_7_starts").FIGURE
