@@ -25,8 +25,25 @@ from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance
 from deep_contact.physics.step import DONE, FINITE, LAST_SWEEPS, WORK, StepLog, make_log, of_whole_step, some_steps
 from deep_contact.physics.substeps import shift_flights
 from deep_contact.presets import Accuracy, Decision, MeasuredAccuracy, PresetWarning, decide
-from deep_contact.state import Bodies, Contacts, State, StateWithContacts, World, changed, frozen, notebook, read_only
-from deep_contact.state.checks import check_types, checked_indices, checked_push, warn_of_jumps
+from deep_contact.state import (
+    LIMITS,
+    Bodies,
+    Contacts,
+    State,
+    StateWithContacts,
+    World,
+    changed,
+    frozen,
+    notebook,
+    read_only,
+)
+from deep_contact.state.checks import (
+    check_types,
+    checked_indices,
+    checked_push,
+    checked_velocities,
+    warn_of_jumps,
+)
 from deep_contact.trajectory import Trajectory
 from deep_contact.validation import brief, expect, flag, integer, number, one_of, warn
 from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
@@ -196,6 +213,9 @@ class Simulator:
         and changes nothing, on values that `World` refuses.
         """
         fields = {"gravity": gravity, "friction": friction, "restitution": restitution, "segments": segments}
+        if dt is None and push is None and not any(value is not None for value in fields.values()):
+            if segment_velocities is None or self._turned(segment_velocities):
+                return
         fields |= {"segment_velocities": segment_velocities}
         fields, state = {name: value for name, value in fields.items() if value is not None}, self.state
         if segments is not None:  # velocities and surfaces of other segments do not fit these
@@ -214,6 +234,28 @@ class Simulator:
             self._change(state if dt is None else with_time_step(state, dt), push)
         else:
             self._change(state if dt is None else with_time_step(state, dt))
+
+    def _turned(self, segment_velocities) -> bool:
+        """Give the segments that move other velocities, in place, in a tenth of the time of `_change`.
+
+        Returns whether they are the ones that moved; otherwise nothing is changed.
+        """
+        drive, world = self._inputs.drive, self._scene.world
+        velocities = checked_velocities(segment_velocities, len(world.segments))
+        wall = np.array(velocities).reshape(-1, 4)
+        if (
+            drive is None
+            or wall.shape != drive.wall.shape
+            or np.abs(wall).max() > LIMITS["world.segment_velocities"][1]
+        ):
+            return False
+        if (wall.any(axis=1) != drive.wall.any(axis=1)).any():
+            return False
+        self._steps.wake()
+        self._scene = changed(self._scene, world=changed(world, segment_velocities=velocities))
+        self._origin = self._now
+        drive.wall[:] = wall
+        return True
 
     def add(self, bodies: Bodies) -> np.ndarray:
         """Add circles after the others (`State.with_bodies`). Who sleeps wakes. Returns their indices.

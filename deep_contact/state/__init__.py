@@ -27,7 +27,7 @@ from deep_contact import constants
 from deep_contact.state import notebook
 from deep_contact.state.scales import ContactScales, contact_scales
 
-S = TypeVar("S", bound="State")
+S, T = TypeVar("S", bound="State"), TypeVar("T")
 
 BOTTOM, RIGHT, TOP, LEFT = range(4)
 SIDES = ("floor", "right", "ceiling", "left")
@@ -344,10 +344,10 @@ def native(state: State) -> State:
     return state
 
 
-def changed(state: S, **fields) -> S:
-    """The state with other fields, which are known to hold together: in a tenth of the time that `replace` takes."""
-    new = object.__new__(type(state))
-    vars(new).update(vars(state), **fields)
+def changed(part: T, **fields) -> T:
+    """A `State` or `World` with other fields, known to hold together: in a tenth of the time that `replace` takes."""
+    new = object.__new__(type(part))
+    vars(new).update(vars(part), **fields)
     return new
 
 

@@ -73,7 +73,7 @@ def checked_world(world: World) -> dict:
         "box": box, "segments": segments, "scales": _checked_scales(world.scales),
         "gravity": several("gravity", world.gravity, 2, expected="finite numbers, such as (0, -9.81)"),
         "surface_speeds": _checked_speeds(world.surface_speeds, len(segments)),
-        "segment_velocities": _checked_velocities(world.segment_velocities, len(segments)),
+        "segment_velocities": checked_velocities(world.segment_velocities, len(segments)),
         "friction": number("friction", world.friction, low=0),
         "restitution": number("restitution", world.restitution, low=0, high=1),
     }  # fmt: skip
@@ -251,7 +251,7 @@ def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
     return checked if any(checked) else ()
 
 
-def _checked_velocities(velocities, count: int) -> tuple[tuple[float, ...], ...]:
+def checked_velocities(velocities, count: int) -> tuple[tuple[float, ...], ...]:
     numbers = real_numbers(velocities)
     fits = numbers is not None and (numbers.size == 0 or numbers.shape in ((count, 2, 2), (count, 4)))
     expected = f"those of both ends of {count} segments, ((v_x, v_y), (v_x, v_y)), m/s"

@@ -109,6 +109,20 @@ def test_a_ball_settles_on_the_orbit_of_one_bounce_a_period_as_by_events():
     np.testing.assert_allclose(apexes, expected, atol=5.0 * dt * leaves * (1.0 + e))
 
 
+def test_velocities_set_between_steps_are_those_of_a_world_that_has_them():
+    bar = plate((0.0, 1.0), at=(0.0, 0.0), along=(1.0, 0.0), half=2.0)
+    state = circles_at([[0.0, 0.15], [0.21, 0.2]], radius=0.1, box=(-5.0, -5.0, 5.0, 5.0), restitution=0.6, **bar)
+    run = Simulator(state, solver=PGS)
+    for k in range(40):
+        velocity = (0.0, 0.0) if k == 20 else (0.1 * (k % 3), math.cos(0.7 * k))
+        run.set(segment_velocities=[(velocity, velocity)])
+        run.step()
+        world = replace(state.world, segment_velocities=[(velocity, velocity)])
+        state = dc.simulate(state.replace(world=world), steps=1, solver=PGS).state
+        assert run.state == state
+    assert np.abs(state.bodies.velocity[:, 0]).max() > 0.01  # only the bar pushes across
+
+
 def test_fixed_circles_stay_and_carry_and_have_no_contacts_among_themselves():
     pegs = circles_at([[4.0, 1.0], [5.9, 1.0], [4.95, 2.75]], fixed=[True, True, False], friction=0.5)
     assert pegs.bodies.is_fixed.tolist() == [True, True, False]
