@@ -40,23 +40,30 @@ def motions() -> Iterator[tuple[State, float, Callable[[Bodies], float]]]:
     for friction, restitution in ((5.0, 0.0), (0.1, 0.0), (0.1, 0.5)):
         tangent = min(friction * (1.0 + restitution) * 6.0, 3.0 / 3.0)  # λ_t / m, m/s
         after = 3.0 - tangent, 6.0 * restitution, -2.0 * tangent
-        disc = _scene([[10.0, 2.0]], friction=friction, restitution=restitution, velocity=[3.0, -6.0])
+        material = {"friction": friction, "restitution": restitution}
+        disc = scene_of([[10.0, 2.0]], gravity=0.0, **material, velocity=[3.0, -6.0])
         yield disc, 0.4, lambda bodies, after=after: _off((*bodies.velocity[0], bodies.spin[0]), after) / 6.0
     for mass in (1.0, 100.0):
-        pair = _scene([[10.0, 20.0], [13.0, 20.0]], mass=[1.0, mass], velocity=[[4.0, 0.0], [-4.0, 0.0]])
+        velocity = [[4.0, 0.0], [-4.0, 0.0]]
+        pair = scene_of([[10.0, 20.0], [13.0, 20.0]], gravity=0.0, mass=[1.0, mass], velocity=velocity)
         together = 4.0 * (1.0 - mass) / (1.0 + mass)
         yield pair, 0.6, lambda bodies, v=together: _off(bodies.velocity[:, 0], v) / 4.0
-    sliding = _scene([[10.0, 1.0]], gravity=(0.0, -G), friction=0.3, velocity=[4.0, 0.0])
+    sliding = scene_of([[10.0, 1.0]], friction=0.3, velocity=[4.0, 0.0])
     yield sliding, 1.5, lambda bodies: _off(bodies.velocity[0, 0], 8.0 / 3.0) / 4.0
     slopes = (0.5, 20.0, 4.0 / 3.0 * G * sin(radians(20.0))), (0.2, 45.0, 1.6 * G * sqrt(0.5))
     for friction, angle, speed in slopes:
-        leaning = G * sin(radians(angle)), -G * cos(radians(angle))
-        disc = _scene([[10.0, 1.0]], gravity=leaning, friction=friction)
+        disc = scene_of([[10.0, 1.0]], slope=angle, friction=friction)
         yield disc, 2.0, lambda bodies, v=speed: _off(bodies.velocity[0, 0], v) / v
 
 
-def _scene(places, *, gravity=(0.0, 0.0), friction=0.0, restitution=0.0, **bodies) -> State:
-    world = World(box=(0.0, 0.0, 400.0, 40.0), gravity=gravity, friction=friction, restitution=restitution)
+def scene_of(places, *, slope=0.0, gravity=G, friction=0.0, restitution=0.0, segments=(), **bodies) -> State:
+    """Circles of 1 m in a box of 400 m × 40 m whose floor is a slope, degrees, by a gravity that leans.
+
+    bodies: further arguments of `make_bodies`.
+    """
+    leaning = gravity * sin(radians(slope)), -gravity * cos(radians(slope))
+    constants = {"friction": friction, "restitution": restitution, "segments": segments}
+    world = World(box=(0.0, 0.0, 400.0, 40.0), gravity=leaning, **constants)
     return State(name="known", world=world, bodies=make_bodies(places, **bodies))
 
 

@@ -9,9 +9,12 @@ Time steps are those of circles of r = 1 m under g = 9.81 m/s²: what counts is 
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import product
@@ -30,7 +33,6 @@ from deep_contact.reporting import results
 from deep_contact.run_errors import observation, observe
 from deep_contact.state import State
 from deep_contact.studies import piles
-from deep_contact.studies.parts import done
 from deep_contact.trade import states_of
 from deep_contact.validation import one_of
 
@@ -179,6 +181,40 @@ def timed_rows(
                 took[key].append(us)
     return [row | {"us": float(np.median(took[key])) if took[key] else None, "times": took[key]}
             for key, row in rows.items()]  # fmt: skip
+
+
+# ---- parts that are kept: an interrupted study goes on where it stopped ----
+
+
+def done(
+    parts: Sequence[tuple[str, dict]], functions: Mapping[str, Callable], *, work: Path, jobs: int | Executor, text: str
+) -> list:
+    """The results of parts (name, arguments), in their order: read from `work`, or computed and stored there.
+
+    functions: name -> function of the arguments, found by import, whose result JSON can hold. A part with other
+    arguments is another part. One that JSON cannot read is computed again. jobs: as in `parallel.finished`; a process
+    stores its own parts. text: of the progress bar.
+    """
+    work.mkdir(parents=True, exist_ok=True)
+    tasks = [
+        (functions[name], arguments, work / f"{name}_{arguments['n_bodies']}_{digest_of([name, arguments])}.json")
+        for name, arguments in parts
+    ]
+    return parallel.parallel_map(_done, tasks, jobs=jobs, progress=parallel.progress_bar, text=text)
+
+
+def digest_of(value) -> str:
+    """Sixteen hexadecimal digits of a value that JSON can hold."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _done(task: tuple[Callable, dict, Path]):
+    function, arguments, path = task
+    with suppress(FileNotFoundError, ValueError):
+        return json.loads(path.read_text(encoding="utf-8"))
+    result = results.plain(function(**arguments))
+    results.write_json(path, result)
+    return result
 
 
 # ---- what the study says ----

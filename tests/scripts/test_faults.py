@@ -64,7 +64,7 @@ def test_a_process_killed_while_it_writes_leaves_the_last_whole_file(tmp_path, m
 KILLED_STUDY = """
 import os, signal, sys
 from pathlib import Path
-from deep_contact.studies.parts import done
+from deep_contact.studies.runs import done
 
 def compute(n_bodies, k):
     print(k, flush=True)

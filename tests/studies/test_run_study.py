@@ -14,7 +14,7 @@ from deep_contact.presets import PRESETS
 from deep_contact.reporting import figures, results
 from deep_contact.run_errors import SETTLED, observation
 from deep_contact.studies import runs
-from deep_contact.studies.parts import done
+from deep_contact.studies.runs import done
 from deep_contact.trade import name_of
 
 COARSE = {"method": "PGS", "sweeps": 3, "dt": TIME_STEP}
