@@ -317,6 +317,7 @@ class Simulator:
             self._inputs = step_input(scene, solver, scales)
         self._push = scene.push
         self._moved = tuple(bodies[:4])  # what a step changes
+        self._never_change = tuple(map(frozen, bodies[4:]))
         if scene.world.segment_velocities:
             self._moved += (self._inputs.segments.line,)
         self._kept, self._log, self._work = tuple(map(np.copy, self._moved)), make_log(1), MOST_WORK // 8
@@ -386,7 +387,8 @@ class Simulator:
             friction = step_input(replace(scene, contacts=contacts), scene.solver, self._scales).friction
             inputs = inputs if friction == inputs.friction else inputs._replace(friction=friction)
         if is_watched:
-            bodies, world, push = Bodies(*map(frozen, scene.bodies)), self._world(), self._push
+            bodies = Bodies(*map(frozen, scene.bodies[:4]), *self._never_change)
+            world, push = self._world(), self._push
         begun = time.perf_counter()
         following, received = self._steps(inputs, contacts, log, problem)
         if len(log.contacts) > 1:  # how a run is divided changes no bit of it

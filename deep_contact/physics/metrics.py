@@ -7,14 +7,11 @@ problem itself (`residual`: what is left unsolved) and against a solution, as `p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from deep_contact.physics.engine import ContactSolution, after_impacts, contacts_of
 from deep_contact.physics.segments import ground_velocities
 from deep_contact.state import Bodies, State
-from deep_contact.validation import expect
 
 
 def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
@@ -59,16 +56,6 @@ def velocity_error(state: State, solution: ContactSolution, reference: ContactSo
     if change == 0.0:
         return 0.0 if error == 0.0 else np.inf
     return error / change
-
-
-def nearest_velocity_error(state: State, solution: ContactSolution, references: Sequence[ContactSolution]) -> float:
-    """`velocity_error` against the nearest of several references.
-
-    With friction a large pile has many solutions, and each method comes near to its own.
-    Raises ValueError without references.
-    """
-    expect(references, "references: expected at least one, got none")
-    return min(velocity_error(state, solution, reference) for reference in references)
 
 
 def _ends(state: State) -> tuple[np.ndarray, ...]:

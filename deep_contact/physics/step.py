@@ -294,7 +294,7 @@ def of_whole_step(contacts: Contacts, received: np.ndarray) -> Contacts:
     """
     pair, x, y, n_x, n_y, separation, p_x, p_y = received.T
     starts = np.zeros((2, len(pair)))
-    starts[:, np.isin(pair, contacts.body_a * MOST_BODIES + contacts.body_b)] = contacts[7:]
+    starts[:, np.searchsorted(pair, contacts.body_a * MOST_BODIES + contacts.body_b)] = contacts[7:]
     impulses = np.maximum(p_x * n_x + p_y * n_y, 0.0), p_x * n_y - p_y * n_x
     places = np.column_stack([x, y]), np.column_stack([n_x, n_y]), separation.copy()
     return Contacts(*np.divmod(pair.astype(np.int64), MOST_BODIES), *places, *impulses, *starts)

@@ -24,7 +24,7 @@ class PSOR(PGS):
     section 5.3); other values are refused. Weakness: with friction convergence is not proven. The bounds ±μ λ_n move
     as λ_n overshoots, and from ω of about 1.5 single contacts alternate between sticking and slipping, so θ stalls
     above a tight tolerance. A smaller friction_omega moves that to larger ω: 1.75 with 1.45, or 1.8 with 1.4, leaves
-    0.88 to 1.04 of the error of the best single ω after 10 to 50 sweeps along runs (Figure 6.11).
+    0.88 to 1.04 of the error of the best single ω after 10 to 50 sweeps along runs.
     """
 
     omega: float = 1.3
