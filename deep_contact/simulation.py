@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from deep_contact.parallel import cores, parallel_map
+from deep_contact.parallel import cores, parallel_map, workers
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.engine import ContactSolution, StepProblem, Steps, contacts_of, drive_of, step_input
@@ -50,6 +50,9 @@ from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting
 
 MOST_WORK, SECONDS = 20_000_000, 0.2
 """Most work of a call of compiled code, in relaxations of a contact, and its time: between calls Ctrl-C is raised."""
+
+TASKS = 16
+"""Tasks a worker of `simulate_many(jobs=…)`: a worker that is lost loses one of them."""
 
 
 class Simulation(NamedTuple):
@@ -631,7 +634,10 @@ def simulate_many(
     expect(fits, f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
     how = (steps, dt, solver, start, accuracy, sleep, record, forces)
     if jobs is not None:
-        return parallel_map(partial(_one_of_many, how), list(enumerate(states)), jobs=jobs)
+        # Several a task: a scheduler takes as long for a task as a small scene does.
+        numbered, size = list(enumerate(states)), max(1, len(states) // (TASKS * max(1, workers(jobs))))
+        tasks = [numbered[first : first + size] for first in range(0, len(states), size)]
+        return [run for runs in parallel_map(partial(_some_of_many, how), tasks, jobs=jobs) for run in runs]
     stopped = threading.Event()
 
     def one(number: int) -> Simulation:
@@ -645,6 +651,11 @@ def simulate_many(
             stopped.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _some_of_many(how: tuple, numbered: list[tuple[int, State]]) -> list[Simulation]:
+    """`_one_of_many` for several states."""
+    return [_one_of_many(how, one) for one in numbered]
 
 
 def _one_of_many(how: tuple, numbered: tuple[int, State], stopped: threading.Event | None = None) -> Simulation:
