@@ -217,7 +217,7 @@ class Simulator:
         """
         fields = {"gravity": gravity, "friction": friction, "restitution": restitution, "segments": segments}
         if dt is None and push is None and not any(value is not None for value in fields.values()):
-            if segment_velocities is None or self._turned(segment_velocities):
+            if segment_velocities is None or self._set_velocities(segment_velocities):
                 return
         fields |= {"segment_velocities": segment_velocities}
         fields, state = {name: value for name, value in fields.items() if value is not None}, self.state
@@ -238,10 +238,10 @@ class Simulator:
         else:
             self._change(state if dt is None else with_time_step(state, dt))
 
-    def _turned(self, segment_velocities) -> bool:
-        """Give the segments that move other velocities, in place, in a tenth of the time of `_change`.
+    def _set_velocities(self, segment_velocities) -> bool:
+        """Set the velocities of the segments in place, which takes less time than `_change`.
 
-        Returns whether they are the ones that moved; otherwise nothing is changed.
+        It can be done where the same segments move as before. Returns whether it was done.
         """
         drive, world = self._inputs.drive, self._scene.world
         velocities = checked_velocities(segment_velocities, len(world.segments))
@@ -249,7 +249,7 @@ class Simulator:
         if (
             drive is None
             or wall.shape != drive.wall.shape
-            or np.abs(wall).max() > LIMITS["world.segment_velocities"][1]
+            or np.abs(wall).max(initial=0.0) > LIMITS["world.segment_velocities"][1]
         ):
             return False
         if (wall.any(axis=1) != drive.wall.any(axis=1)).any():
@@ -384,7 +384,7 @@ class Simulator:
     def _advance_from(self, before: _Now, log: StepLog, is_watched: bool) -> int:
         contacts, problem, scene = before.contacts, None, self._scene
         if self._asks_between:
-            contacts, problem = self._asked(contacts)
+            contacts, problem = self._start_from_python(contacts)
         inputs = self._inputs
         if self._may_lose_tangents:
             friction = step_input(replace(scene, contacts=contacts), scene.solver, self._scales).friction
@@ -414,7 +414,7 @@ class Simulator:
         self._now = _Now(following, step, now, False)
         return done
 
-    def _asked(self, contacts: Contacts) -> tuple[Contacts, StepProblem | None]:
+    def _start_from_python(self, contacts: Contacts) -> tuple[Contacts, StepProblem | None]:
         """The contacts with what Python starts them from, and their problem, if it was built. Sets the push as well."""
         push, solver, problem = self._how["push"], self._scene.solver, None
         if callable(push):

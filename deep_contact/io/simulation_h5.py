@@ -342,7 +342,8 @@ def _header(attributes: dict) -> dict:
             header[name] = json.loads(attributes[name])
             if name == "solver" and header[name] is not None:
                 options = dict(header[name])
-                header["preset"] = options.pop("preset", None)
+                header["preset"] = preset = options.pop("preset", None)
+                expect(preset is None or isinstance(preset, str), f"preset: expected a text, got {preset!r}")
                 header[name] = solver_from(options.pop("method", None), options)
         except (TypeError, ValueError, RecursionError) as error:
             expected = "null, or a method and its options" if name == "solver" else "JSON"

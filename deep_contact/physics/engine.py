@@ -38,18 +38,18 @@ from deep_contact.physics.step import (
     FINITE,
     WORK,
     Drive,
-    Given,
     Motion,
     StepInput,
     StepLog,
     StepMemory,
     StepOptions,
-    give,
+    StepSetup,
     impulses_of,
     is_asked,
     log_impulses,
     log_part,
     make_memory,
+    make_setup,
     with_rare,
     with_segments,
     work_of_push,
@@ -61,17 +61,17 @@ from deep_contact.state.scales import ContactScales, mean
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance(given, contacts, motion, sleep, log, drive):
+def advance(setup, contacts, motion, sleep, log, drive):
     """Do as many steps as the log has rows, or until its work is done: the bodies move in place.
 
     Each step is as many substeps as the solver asks for, and motion may divide these (`substeps`). What nothing in the
     scene requires is not compiled: segments, restitution, motion, sleep, and what stops fast circles: without that the
     call ends before the first substep that has one, and the next call goes on there.
     Returns the contacts found, in memory that the next call writes into, and `StepLog.received`.
-    given: `Given`. motion, drive: of its step; motion is None where it has nothing rare. sleep: `SleepMemory`, None
+    setup: `StepSetup`. motion, drive: of its step; motion is None where it has nothing rare. sleep: `SleepMemory`, None
     where nothing may. log: `StepLog`, filled.
     """
-    step, options, memory = given.step, given.options, given.memory
+    step, options, memory = setup.step, setup.options, setup.memory
     if drive is not None:
         step = with_segments(step, moved_segments(step.segments, drive, 0.0))
     part, turn, received = step, 0, log.received
@@ -175,7 +175,7 @@ class Steps:
         self._options = StepOptions(settings_of(solver), solver.position_sweeps, carry)
         self._solver, self._memory, self._direct = solver, {}, {}
         self._asked = self._rare = None  # the last input of steps, and that of `with_rare`
-        self._given: dict = {}  # by buffer: the last input of steps, and what compiled code is given for it
+        self._setups: dict = {}  # by buffer: the last input of steps, and its setup
         self._found: tuple = (None, -1, False)  # indices of the contacts found last, their buffer and its memory
         self.sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
 
@@ -242,8 +242,8 @@ class Steps:
             kind = self._is_plain, key, step.drive is None  # what the types of all arguments depend on
             if kind not in self._direct:
                 self._direct[kind] = Direct(self._advance)
-            given = self._given_of(step, buffer, contacts.count, built)
-            following, received = self._direct[kind](given, contacts, step.motion, self.sleep, log, step.drive)
+            setup = self._setup_of(step, buffer, contacts.count, built)
+            following, received = self._direct[kind](setup, contacts, step.motion, self.sleep, log, step.drive)
             parts = int(log.parts[0] if len(log.parts) == 1 else log.parts.sum())
             following, before = self._keep(following, parts - before, buffer, key), parts
             if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.parts * len(log.contacts):
@@ -252,15 +252,18 @@ class Steps:
             self._is_plain, contacts, log, built = False, following, log._replace(received=received), None
             buffer = self._buffer_of(following, key)
 
-    def _given_of(self, step: StepInput, buffer: int, contacts: int, built: dict | None) -> Given:
-        """What compiled code is given for contacts in a buffer. built: what has been built of its memory, by name."""
-        before, given = self._given.get(buffer, (None, None))
+    def _setup_of(self, step: StepInput, buffer: int, contacts: int, built: dict | None) -> StepSetup:
+        """The setup of steps whose contacts lie in a buffer. It is kept until the input of the steps changes.
+
+        contacts: their number. built: fields of the memory that have been filled for one step; None where none were.
+        """
+        before, setup = self._setups.get(buffer, (None, None))
         if built is not None or before is not step:
             memory = self._memories(step, contacts)[buffer]
-            given = give(step, self._options, memory._replace(**built) if built else memory)
+            setup = make_setup(step, self._options, memory._replace(**built) if built else memory)
             if built is None:
-                self._given[buffer] = step, given
-        return given
+                self._setups[buffer] = step, setup
+        return setup
 
     def _with_rare(self, step: StepInput) -> StepInput:
         if step is not self._asked:

@@ -82,21 +82,21 @@ class StepMemory(NamedTuple):
     is_built: bool = False  # whether solver bodies and rows are those of the one step to come (`engine.StepProblem`)
 
 
-class _GivenType(StructureType):
-    """Numba's type of what is given."""
+class _StepSetupType(StructureType):
+    """Numba's type of a `StepSetup`."""
 
 
-class Given(Structure):
-    """What steps are given that stays from call to call: a `StepInput`, `StepOptions` and a `StepMemory`."""
+class StepSetup(Structure):
+    """A `StepInput`, `StepOptions` and a `StepMemory`: the arguments that are the same in many calls."""
 
 
-define(Given, _GivenType, ("step", "options", "memory"))
+define(StepSetup, _StepSetupType, ("step", "options", "memory"))
 
 
 @njit(cache=True)
-def give(step, options, memory):
-    """Put together what steps are given."""
-    return Given(step, options, memory)
+def make_setup(step, options, memory):
+    """A `StepSetup` of these."""
+    return StepSetup(step, options, memory)
 
 
 def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:

@@ -123,6 +123,14 @@ def test_velocities_set_between_steps_are_those_of_a_world_that_has_them():
     assert np.abs(state.bodies.velocity[:, 0]).max() > 0.01  # only the bar pushes across
 
 
+def test_no_velocities_are_set_where_there_are_no_segments():
+    scene = circles_at([[5.0, 1.0], [5.0, 3.2]], mass=[np.inf, 1.0])
+    run = Simulator(scene, solver=PGS)
+    run.set(segment_velocities=[])
+    run.step()
+    assert run.state == dc.simulate(scene, steps=1, solver=PGS).state
+
+
 def test_fixed_circles_stay_and_carry_and_have_no_contacts_among_themselves():
     pegs = circles_at([[4.0, 1.0], [5.9, 1.0], [4.95, 2.75]], fixed=[True, True, False], friction=0.5)
     assert pegs.bodies.is_fixed.tolist() == [True, True, False]

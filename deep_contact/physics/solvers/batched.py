@@ -175,19 +175,19 @@ define(Room, _RoomType, ("plan", "tiles", "solved", "contacts", "memory", "recei
 
 
 @njit(cache=True)
-def make_room(contacts, given):
-    """A `Room` for steps that start from these contacts. given: `Given`."""
-    memory = given.memory
+def make_room(contacts, setup):
+    """A `Room` for steps that start from these contacts. setup: `StepSetup`."""
+    memory = setup.memory
     n = memory.cells.cell.shape[0]
     plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1)
     return Room(plan, tiles, contacts, contacts, memory, np.zeros((0, 8)))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance_in_batches(given, contacts, room, log, drive):
+def advance_in_batches(setup, contacts, room, log, drive):
     """`engine.advance` for `BatchedPGS`. room: a `Room`, which each call leaves to the next."""
-    step, options = given.step, given.options
-    room.contacts, room.memory, room.received = contacts, given.memory, log.received
+    step, options = setup.step, setup.options
+    room.contacts, room.memory, room.received = contacts, setup.memory, log.received
     if drive is not None:
         step = with_segments(step, moved_segments(step.segments, drive, 0.0))
     part, turn, buffers = step, 0, room.memory.contacts
@@ -299,11 +299,11 @@ class _Run:
     def __init__(self, solver: BatchedPGS):
         self._room, self._plain, self._driven = None, Direct(advance_in_batches), Direct(advance_in_batches)
 
-    def __call__(self, given, contacts, motion, sleep, log, drive):
+    def __call__(self, setup, contacts, motion, sleep, log, drive):
         """As `engine.advance`."""
         if self._room is None:
-            self._room = make_room(contacts, given)
-        return (self._plain if drive is None else self._driven)(given, contacts, self._room, log, drive)
+            self._room = make_room(contacts, setup)
+        return (self._plain if drive is None else self._driven)(setup, contacts, self._room, log, drive)
 
 
 _LOOP = Loop(BatchSettings, relax_in_batches)
