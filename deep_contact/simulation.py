@@ -232,7 +232,8 @@ class Simulator:
                     self._has_warned = warn_of_jumps(state.world, world)
                 stays = contacts.body_b < state.bodies.count + 4 + len(world.segments)
                 contacts = Contacts(*(values[stays] for values in contacts))
-            state = replace(state, world=world, contacts=contacts)
+            # A preset decides anew: it may divide the step by the speed of a wall.
+            state = replace(state, world=world, contacts=contacts, preset=None)
         if push is not None:
             self._change(state if dt is None else with_time_step(state, dt), push)
         else:
@@ -241,16 +242,14 @@ class Simulator:
     def _set_velocities(self, segment_velocities) -> bool:
         """Set the velocities of the segments in place, which takes less time than `_change`.
 
-        It can be done where the same segments move as before. Returns whether it was done.
+        It can be done where the same segments move as before. With a preset, none may be faster than when the preset
+        chose the solver. Returns whether it was done.
         """
         drive, world = self._inputs.drive, self._scene.world
+        most = LIMITS["world.segment_velocities"][1] if self._how["accuracy"] is None else self._fastest_wall
         velocities = checked_velocities(segment_velocities, len(world.segments))
         wall = np.array(velocities).reshape(-1, 4)
-        if (
-            drive is None
-            or wall.shape != drive.wall.shape
-            or np.abs(wall).max(initial=0.0) > LIMITS["world.segment_velocities"][1]
-        ):
+        if drive is None or wall.shape != drive.wall.shape or np.abs(wall).max(initial=0.0) > most:
             return False
         if (wall.any(axis=1) != drive.wall.any(axis=1)).any():
             return False
@@ -319,6 +318,8 @@ class Simulator:
             self._scene = scene = replace(scene, push=(np.zeros((n, 2)), np.zeros(n)))
             self._inputs = step_input(scene, solver, scales)
         self._push = scene.push
+        drive = self._inputs.drive
+        self._fastest_wall = 0.0 if drive is None else np.abs(drive.wall).max(initial=0.0)
         self._moved = tuple(bodies[:4])  # what a step changes
         self._never_change = tuple(map(frozen, bodies[4:]))
         if scene.world.segment_velocities:

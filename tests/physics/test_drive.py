@@ -123,6 +123,19 @@ def test_velocities_set_between_steps_are_those_of_a_world_that_has_them():
     assert np.abs(state.bodies.velocity[:, 0]).max() > 0.01  # only the bar pushes across
 
 
+def test_a_wall_that_becomes_fast_gets_the_substeps_of_its_preset():
+    bar = plate((0.0, 0.1), at=(0.0, 0.0), along=(1.0, 0.0), half=2.0)
+    scene = circles_at([[0.0, 0.15]], radius=0.1, box=(-5.0, -5.0, 5.0, 50.0), **bar)
+    run = Simulator(scene, accuracy="fast")
+    run.step(5)
+    before = run.state.solver
+    run.set(segment_velocities=[((0.0, 40.0),) * 2])
+    assert run.state.solver.substeps > before.substeps
+    kept = run._inputs
+    run.set(segment_velocities=[((0.0, 20.0),) * 2])  # slower: in place
+    assert run._inputs is kept
+
+
 def test_no_velocities_are_set_where_there_are_no_segments():
     scene = circles_at([[5.0, 1.0], [5.0, 3.2]], mass=[np.inf, 1.0])
     run = Simulator(scene, solver=PGS)
