@@ -150,7 +150,8 @@ class Simulation(NamedTuple):
 class Simulator:
     """A scene that lives: it does steps, keeps what the engine remembers of them, and can be changed between them.
 
-    Arguments as of `simulate`. Steps one by one, in parts and in one call are the same, bit for bit. After Ctrl-C or an
+    Arguments as of `simulate`. Where a preset chose the solver, as by default, it chooses again when the scene is
+    changed. Steps one by one, in parts and in one call are the same, bit for bit. After Ctrl-C or an
     error it stands at a whole step, and can go on. It pickles by its state.
 
     | property   | meaning                                                   | shape  | unit |
@@ -176,6 +177,7 @@ class Simulator:
         push=None,
     ):
         self._how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep, "push": push}
+        self._how["anew"] = solver is None and getattr(state, "solver", None) is None
         self._steps: Steps | None = None
         self._go_on(*_prepared(state, **self._how))
 
@@ -246,7 +248,9 @@ class Simulator:
         chose the solver. Returns whether it was done.
         """
         drive, world = self._inputs.drive, self._scene.world
-        most = LIMITS["world.segment_velocities"][1] if self._how["accuracy"] is None else self._fastest_wall
+        most = LIMITS["world.segment_velocities"][1]
+        if self._how["accuracy"] is not None or self._how["anew"]:
+            most = self._fastest_wall
         velocities = checked_velocities(segment_velocities, len(world.segments))
         wall = np.array(velocities).reshape(-1, 4)
         if drive is None or wall.shape != drive.wall.shape or np.abs(wall).max(initial=0.0) > most:
@@ -453,13 +457,17 @@ def _raise_diverged(bodies: Bodies, step: int) -> None:
     )
 
 
-def _prepared(state: State, solver, accuracy, warm_start, sleep, push) -> tuple[StateWithContacts, WarmStart]:
-    """What a run begins with: the state, ready, with its solver and the impulses it starts from, and the start."""
+def _prepared(state: State, solver, accuracy, warm_start, sleep, push, anew) -> tuple[StateWithContacts, WarmStart]:
+    """What a run begins with: the state, ready, with its solver and the impulses it starts from, and the start.
+
+    anew: without a solver and a preset, "fast" chooses the solver, even where the state has one.
+    """
     first, state = state, ready(state)
     constant = None if push is None or callable(push) else checked_push(push, state.bodies.count)
     state = replace(state, push=constant)
     without_past = first.contacts is None or state.step == 0
-    solver, start, _, decision = method_of(state, solver, warm_start, accuracy, sleep=sleep)
+    chosen_for = changed(state, solver=None) if anew and accuracy is None else state
+    solver, start, _, decision = method_of(chosen_for, solver, warm_start, accuracy, sleep=sleep)
     for sentence in decision.warnings if decision else ():
         warn(sentence, PresetWarning)
     # Not of a run that goes on, so that it comes to the same in one go and in parts.

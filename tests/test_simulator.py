@@ -45,6 +45,18 @@ def test_step_by_step_in_parts_and_in_one_call_are_the_same_bits(way):
         assert run.time == whole.state.time
 
 
+@pytest.mark.parametrize("how", [{}, {"accuracy": "fast"}])
+def test_a_preset_decides_anew_for_other_circles(how):
+    """The default does so, too: an empty cup that is filled is no empty cup any more."""
+    run = dc.Simulator(dc.column(1), **how)
+    run.add(dc.make_bodies([[4.0, 5.0], [8.0, 5.0]], velocity=[0.0, -100.0]))
+    assert run.state.solver == dc.simulate(run.state.replace(solver=None), steps=0, **how).state.solver
+    assert run.state.solver != dc.simulate(dc.column(1), steps=0, **how).state.solver
+    kept = dc.Simulator(dc.column(1).replace(solver=dc.PGS(sweeps=7)))
+    kept.set(friction=0.1)
+    assert kept.state.solver == dc.simulate(dc.column(1), steps=0, solver=dc.PGS(sweeps=7)).state.solver
+
+
 def test_views_follow_the_steps_and_states_have_arrays_of_their_own(pile):
     run = dc.Simulator(pile[0], **pile[1])
     positions, before = run.positions, run.state
