@@ -370,8 +370,9 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             lambda: [float(cell("figure_6_6", "radius ratio", "ours: degraded"))],
         ),
         (
-            "sinks {:.1f} % of r at the deepest and takes {:.0f} µs for 10 ms. One step of 10 ms sinks {:.1f} % and takes {:.0f} µs, "
-            "eight fixed substeps sink {:.1f} % and take {:.0f} µs",
+            "circles sink at most {:.1f} % of r into each other, and 10 ms of the run take {:.0f} µs. With one step of 10 ms they "
+            "sink at most {:.1f} %, and it takes {:.0f} µs. With eight fixed substeps they sink at most {:.1f} %, and these take "
+            "{:.0f} µs",
             lambda: [*deepest(**BY_MOTION), *deepest(dt=0.01), *deepest(dt=0.00125)],
         ),
     ],
