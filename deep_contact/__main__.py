@@ -137,7 +137,7 @@ def _add_trade(parser: argparse.ArgumentParser) -> None:
     add("--bodies", type=int, metavar="N", help="circles of the scene (default: its own)")
     add("--steps", type=int, default=600, metavar="N", help="time steps of a run (default: %(default)s)")
     add("--seeds", type=int, default=6, metavar="N", help="runs of each setting (default: %(default)s)")
-    add("--minutes", type=float, metavar="M", help="a budget: fewer seeds and settings (default: none)")
+    add("--minutes", type=float, metavar="M", help="after so many no run begins (default: none)")
     add("--engines", action="store_true", help="other engines too")
     add("--jobs", type=int, default=1, metavar="N", help="processes (default: %(default)s)")
     add("--out", metavar="FILE", help="a picture (.png), or all of it (.json)")

@@ -13,7 +13,6 @@ import hashlib
 import json
 import math
 import pickle
-import sys
 import time
 import typing
 import warnings
@@ -22,8 +21,9 @@ from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
+from itertools import product
 from pathlib import Path
-from timeit import repeat, timeit
+from timeit import timeit
 
 import numpy as np
 
@@ -59,9 +59,6 @@ from deep_contact.validation import brief, expect, integer, number, one_of
 FRAMES = 120
 """Observations of a run."""
 
-FEWEST_SEEDS = 3
-"""Seeds below which a budget drops settings first."""
-
 SHIFT = 1e-3
 """Largest shift of a coordinate of a copy of a state, in slops."""
 
@@ -94,9 +91,6 @@ REFERENCE = "reference"
 
 HALF = "half step"
 """Name of the runs of half its step."""
-
-STARTING = 5.0
-"""Time until processes compute, s."""
 
 
 # ---- settings ----
@@ -265,8 +259,7 @@ class Trade:
     rows: of each setting {"name", "setting", "group": method or engine, "seeds", "us": time of a step of Δt, "errors":
     name -> (value, low, high) or None}; the errors of `ERRORS` in their units, those of quantities as shares.
     noise: error -> what seeds alone make of it. converged: error -> what half the step changes. notes: sentences.
-    by_preset: preset -> name of what the study takes for it. predicted_s, took_s: how long the measurement was said to
-    take, and took.
+    by_preset: preset -> name of what the study takes for it.
     """
 
     scene: str
@@ -285,8 +278,6 @@ class Trade:
     noise: dict = field(default_factory=dict)
     converged: dict = field(default_factory=dict)
     notes: list = field(default_factory=list)
-    predicted_s: float = 0.0
-    took_s: float = 0.0
     cpu: str = ""
 
     def choose(self, accuracy: str | None = None, **tolerances: float):
@@ -457,98 +448,63 @@ def measure_trade(
 
     scene: a state, or a function of a seed that makes one. Of a state each seed makes a copy, shifted by up to `SHIFT`
     slops. steps: of the scene's Δt, in each run. seeds: how many, or which.
-    minutes: a budget. It leaves out seeds, settings and a part of the check of the reference, and the measurement ends
-    when it is over. Compiling does not count.
+    minutes: after so many no further run begins, and what is known by then is returned. Compiling does not count.
     quantities: name -> a function of a state that returns a number or an array; it is called `FRAMES` times a run.
     settings: solvers to measure beside the presets; by default a short ladder around these.
     engines: whether Box2D and pymunk run too, where they have the scene. jobs: as in `parallel.finished`.
     before: an earlier result, whose runs are not done again.
 
-    How long it will take is said first, on standard error. Ctrl-C returns what is known by then.
+    Runs are done seed by seed. Ctrl-C returns what is known by then.
     Raises ValueError on bad arguments, and where a run of the reference ends with an error.
     """
     numbers, quantities = _checked(steps, minutes, seeds, quantities, jobs)
     states = copies(scene, numbers)
-    trade, by_name = _begun(states, steps, settings, engines, quantities)
+    trade = _begun(states, steps, settings, engines, quantities)
     trade.observed = {} if before is None else _known(trade, before)
-    runs = _Runs(trade, by_name, states, quantities, minutes, jobs)
-    runs.plan()
-    runs.do()
+    _run(trade, states, quantities, minutes, jobs)
     _judge(trade)
     if isinstance(scene, State) and len(states) > 1:
-        trade.notes.append(_together(states[:2], trade, runs.frames, runs.interval))
-    trade.took_s = runs.seconds()
+        trade.notes.append(_together(states[:2], trade))
     return trade
 
 
-class _Runs:
-    """The runs that a trade needs: what each will take, those that a budget has room for, and how they are done.
+def _intervals(trade: Trade) -> tuple[int, float]:
+    """How many intervals a run has between observations, and their length, s."""
+    every = max(1, trade.steps // FRAMES)
+    return trade.steps // every, every * trade.dt
 
-    settings: name -> setting, also of the reference's runs. A run is (name of its setting, number of its seed).
-    """
 
-    def __init__(self, trade: Trade, settings: Mapping, states: Sequence[State], quantities: Mapping, minutes, jobs):
-        self._begun, every = time.perf_counter(), max(1, trade.steps // FRAMES)
-        self.frames, self.interval = trade.steps // every, every * trade.dt
-        self._trade, self._settings, self._states, self._quantities = trade, settings, states, quantities
-        self._minutes, self._most = minutes, math.inf if minutes is None else 60.0 * minutes
-        self._jobs, self._workers = jobs, parallel.workers(jobs)
-        self._costs, self._judging = _costs(trade, settings, states[0], self.frames, self.interval)
+def _run(trade: Trade, states: Sequence[State], quantities: Mapping, minutes: float | None, jobs) -> None:
+    """Do all runs, until the time is over or the user interrupts them; what they gave is in the trade."""
+    numbers = scene_numbers(states[0])
+    half = reference_of(numbers, stiffness(states[0], numbers), 2)
+    settings = {REFERENCE: trade.reference, **trade.settings, HALF: half}
+    runs = [run for run in product(settings, range(len(states))) if run not in trade.observed]
+    runs.sort(key=lambda run: run[1])  # seed by seed: a budget that ends leaves out seeds, not settings
+    where = *_intervals(trade), quantities
+    tasks = [(states[i], settings[name], *where, _is_timed(trade, name, i)) for name, i in runs]
+    end = math.inf if minutes is None else time.monotonic() + 60.0 * minutes
+    try:
+        with closing(parallel.finished(_task, tasks, jobs=jobs)) as done:
+            for count, (k, result) in enumerate(progress_bar(done, total=len(runs), text="trade"), 1):
+                name, _ = runs[k]
+                if isinstance(result, str):
+                    expect(name != REFERENCE, f"scene: expected one that the reference can run, got {result}")
+                    trade.notes.append(f"{name} comes to no end: {result}")
+                else:
+                    trade.observed[runs[k]] = result
+                if count < len(runs) and time.monotonic() > end and _has_reference(trade):
+                    trade.notes.append(f"after {minutes:g} min {count} of {len(runs)} runs were done")
+                    break
+    except KeyboardInterrupt:
+        if not _has_reference(trade):
+            raise
+        trade.notes.append("interrupted: this is what was known then")
 
-    def seconds(self) -> float:
-        """Time since the begin."""
-        return time.perf_counter() - self._begun
 
-    def _cost(self, run: tuple[str, int]) -> float:
-        """What a run will take, s; one that is timed is run twice."""
-        return self._costs[run[0]] * (2 if _is_timed(self._trade, *run) else 1)
-
-    def plan(self) -> None:
-        """Choose the runs: of the plans (`_plans`), the largest one that the budget has room for; say what it takes."""
-        trade, count_all = self._trade, len(self._states)
-        for names, count, checked in _plans(trade, self._costs, count_all):
-            runs = [(name, i) for i in range(count) for name in (REFERENCE, *names)]
-            runs += [(HALF, i) for i in range(checked)]
-            self._names, self._runs = names, [run for run in runs if run not in trade.observed]
-            needed = sum(map(self._cost, self._runs)) / self._workers + self._judging * (len(names) + 1)
-            if needed <= 0.9 * self._most:
-                break
-        else:
-            text = f"minutes: the least, a seed of the presets and the reference, takes about {needed:.0f} s"
-            text += f", more than the {self._most:g} s that were given"
-            warnings.warn(text, presets.PresetWarning, stacklevel=3)
-        if (left := len(trade.settings) - len(names)) or count < count_all:
-            note = f"within {self._minutes:g} min: {count} of {count_all} seeds, {left} settings left out"
-            trade.notes.append(note)
-        trade.predicted_s = self.seconds() + needed + (STARTING if self._workers > 1 else 0.0)
-        what = f"{notebook.counted(len(names), 'setting')} and a reference, {notebook.counted(count, 'seed')}"
-        print(f"measure_trade: {what}: about {trade.predicted_s:.0f} s", file=sys.stderr, flush=True)
-
-    def do(self) -> None:
-        """Do them, until all are done, the budget ends, or the user interrupts them; what they gave is in the trade."""
-        trade, last = self._trade, len(self._runs) - 1
-        where = self.frames, self.interval, self._quantities
-        tasks = [(self._states[i], self._settings[name], *where, _is_timed(trade, name, i)) for name, i in self._runs]
-        bar = progress_bar(total=max(1, round(sum(map(self._cost, self._runs)))), text="trade")
-        bar.bar_format = "{desc}: {percentage:.0f}% {bar} {elapsed}<{remaining}"
-        try:
-            with bar, closing(parallel.finished(_task, tasks, jobs=self._jobs)) as done:
-                for k, result in done:
-                    name, _ = run = self._runs[k]
-                    bar.update(self._cost(run))
-                    if isinstance(result, str):
-                        expect(name != REFERENCE, f"scene: expected one that the reference can run, got {result}")
-                        trade.notes.append(f"{name} comes to no end: {result}")
-                    else:
-                        trade.observed[run] = result
-                    following = self._cost(self._runs[min(k + self._workers, last)])
-                    if self.seconds() + following + self._judging * len(self._names) > self._most:
-                        trade.notes += [f"the budget of {self._minutes:g} min ended first"] * (k < last)
-                        break
-        except KeyboardInterrupt:
-            if not any(name == REFERENCE for name, _ in trade.observed):
-                raise
-            trade.notes.append("interrupted: this is what was known then")
+def _has_reference(trade: Trade) -> bool:
+    """Whether a run of the reference is known, without which nothing can be judged."""
+    return any(name == REFERENCE for name, _ in trade.observed)
 
 
 def _checked(steps, minutes, seeds, quantities, jobs) -> tuple[list[int], dict[str, Callable]]:
@@ -607,8 +563,8 @@ def copies(scene: State | Callable[[int], State], seeds: Sequence[int]) -> list[
     return states
 
 
-def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantities: Mapping) -> tuple[Trade, dict]:
-    """The trade before its first run, and all settings by name, the reference's too; everything is compiled."""
+def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantities: Mapping) -> Trade:
+    """The trade before its first run; everything is compiled."""
     first, numbers = states[0], scene_numbers(states[0])
     stiff = stiffness(first, numbers)
     by_preset, more = settings_of_presets(numbers, stiff), ladder(numbers)
@@ -620,17 +576,15 @@ def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantit
     for setting in (*by_preset.values(), *more):
         with contextlib.suppress(FloatingPointError):  # its runs will say it
             Run(first, setting).advance(1)
-    values = {name: with_next(name, quantity, ready(first), []) for name, quantity in quantities.items()}
     named = {name_of(one, first.dt): one for one in (*by_preset.values(), *more, *found)}
-    true, half = (reference_of(numbers, stiff, finer) for finer in (1, 2))
-    trade = Trade(
+    values = {name: with_next(name, quantity, ready(first), []) for name, quantity in quantities.items()}
+    return Trade(
         scene=first.name, n_bodies=first.bodies.count, dt=first.dt, steps=steps, notes=notes,
-        quantities=list(quantities), settings=named, reference=true, cpu=provenance()["cpu"],
+        quantities=list(quantities), settings=named, reference=reference_of(numbers, stiff), cpu=provenance()["cpu"],
         by_preset={preset: name_of(one, first.dt) for preset, one in by_preset.items()},
         digests=list(map(_digest_of_state, states)),
         looks={name: _digest(value if isinstance(value, str) else value[0]) for name, value in values.items()},
     )  # fmt: skip
-    return trade, named | {REFERENCE: true, HALF: half}
 
 
 def _digest_of_state(state: State) -> str:
@@ -659,53 +613,10 @@ def _known(trade: Trade, before: Trade) -> dict:
     return {(name, i): seen for (name, i), seen in before.observed.items() if name in same and i in common}
 
 
-def _costs(
-    trade: Trade, settings: Mapping, scene: State, frames: int, interval: float
-) -> tuple[dict[str, float], float]:
-    """What a run with each setting will take, s: of one interval at four moments of a run that "fast" drives; and what
-    the intervals of a setting will."""
-    run = Run(scene, trade.settings[trade.by_preset["fast"]])
-    moments: list[State] = []
-    with contextlib.suppress(FloatingPointError):  # as the runs will say
-        for _ in range(4):
-            run.advance(max(1, frames // 5) * round(interval / scene.dt))
-            moments.append(run.state())
-    looking = judging = 0.0
-    with contextlib.suppress(ValueError):  # of neither gravity nor motion
-        states = (moments or [ready(scene)]) * REST
-        looking = timeit(lambda: observe(states), number=1) / len(states)
-        ensemble = [observe(states)] * len(trade.digests)
-        judging = 400 * min(repeat(lambda: errors(ensemble, ensemble), number=1, repeat=10))  # of 400 resamplings
-
-    def cost(setting):
-        took = []
-        for moment in moments or [scene]:
-            with contextlib.suppress(FloatingPointError):
-                run, each = Run(moment, setting), round(interval / setting["dt"])
-                run.advance(each)
-                took.append(min(repeat(partial(run.advance, each), number=1, repeat=2)))
-        return frames * (sum(took) / max(1, len(moments)) + looking)
-
-    return {name: cost(setting) for name, setting in settings.items()}, judging
-
-
-def _plans(trade: Trade, costs: Mapping, count: int) -> Iterator[tuple[list[str], int, int]]:
-    """(Settings, number of seeds, of those that check the reference): all, and what a smaller budget leaves of it."""
-    few, own = min(count, FEWEST_SEEDS), set(trade.by_preset.values())
-    names = list(trade.settings)
-    yield from ((names, count, checked) for checked in range(count, few, -1))
-    yield from ((names, seeds, few) for seeds in range(count, few - 1, -1))
-    for dearest in sorted(trade.settings.keys() - own, key=lambda name: costs[name], reverse=True):
-        names = [name for name in names if name != dearest]
-        yield names, few, few
-    yield from ((names, few, checked) for checked in range(few - 1, 0, -1))
-    yield from ((names, seeds, 1) for seeds in range(few - 1, 0, -1))
-
-
 def _judge(trade: Trade) -> None:
     """Rows, noise and sentences from what was observed."""
     true = {i: seen for (name, i), (_, seen) in sorted(trade.observed.items()) if name == REFERENCE}
-    trade.seeds, every = len(true), max(1, trade.steps // FRAMES)  # a run ends with a whole interval
+    trade.seeds, seconds_each = len(true), math.prod(_intervals(trade))
 
     def paired(name):
         return [(trade.observed[name, i][1], seen) for i, seen in true.items() if (name, i) in trade.observed]
@@ -713,7 +624,7 @@ def _judge(trade: Trade) -> None:
     for name, setting in trade.settings.items():
         if pairs := paired(name):
             took = [seconds for (of, _), (seconds, _) in trade.observed.items() if of == name and seconds is not None]
-            us = 1e6 * float(np.mean(took)) / (trade.steps // every * every) if took else None
+            us = 1e6 * float(np.mean(took)) * trade.dt / seconds_each if took else None
             trade.rows.append(row_of(setting, trade.dt, *zip(*pairs)) | {"us": us})
     if pairs := paired(HALF):
         half, reference = zip(*pairs)
@@ -751,9 +662,9 @@ def _sentences(trade: Trade, reference: Sequence[Observation], checked: int) -> 
         yield "nothing touches anything: the errors are those of free flight"
 
 
-def _together(pair: Sequence[State], trade: Trade, frames: int, interval: float) -> str:
+def _together(pair: Sequence[State], trade: Trade) -> str:
     """How long two copies of a state stay together."""
-    setting = trade.settings[trade.by_preset["fast"]]
+    setting, (frames, interval) = trade.settings[trade.by_preset["fast"]], _intervals(trade)
     for k, (one, other) in enumerate(zip(*(states_of(state, setting, frames, interval) for state in pair))):
         apart = np.sqrt(((one.bodies.position - other.bodies.position) ** 2).sum(axis=1).mean())
         if apart > APART * mean(one.bodies.radius):

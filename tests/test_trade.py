@@ -216,13 +216,22 @@ def test_a_trade_is_read_of_files_alone(name, tmp_path):
         dc.load_trade(tmp_path / name)
 
 
-@pytest.mark.filterwarnings("ignore:minutes. the least")  # of a busy machine
-def test_a_budget_leaves_seeds_and_settings_out(pile):
-    scene, whole = pile
-    seconds = 0.5 * whole.predicted_s
-    trade = dc.measure_trade(scene, steps=40, seeds=12, minutes=seconds / 60)
-    assert trade.seeds < 12
-    assert any("within" in note for note in trade.notes)
+def test_no_run_begins_after_its_minutes_and_what_is_known_is_returned(pile, monkeypatch):
+    """The clock goes on by a minute a run: three minutes have room for three runs, of the first seed."""
+    scene, _ = pile
+    real, minutes = module._task, []
+
+    def counted(task):
+        minutes.append(60.0)
+        return real(task)
+
+    monkeypatch.setattr(module, "_task", counted)
+    monkeypatch.setattr(module.time, "monotonic", lambda: 1.001 * sum(minutes))
+    trade = dc.measure_trade(scene, steps=40, seeds=12, minutes=3.0)
+    assert trade.seeds == 1
+    assert len(minutes) == len(trade.observed) == 3
+    assert f"after 3 min 3 of {12 * (len(trade.settings) + 2)} runs were done" in trade.notes
+    assert [row["name"] for row in trade.rows] == list(trade.settings)[:2]
 
 
 @pytest.mark.parametrize(
@@ -459,7 +468,7 @@ def test_copies_are_together_until_the_last_time_before_a_hundredth_of_a_radius_
     shifts = iter([[0.0] * 9, [0.0] * parted_at + [0.03] * (9 - parted_at)])
     near = lambda state, shift: state.replace(bodies=make_bodies([[5, 5], [15, 5 + shift]], radius=2.0))  # noqa: E731
     monkeypatch.setattr(module, "states_of", lambda state, *_: [near(state, shift) for shift in next(shifts)])
-    assert text in module._together(states, by_hand(by_preset={"fast": CHEAP}), 9, 0.1)
+    assert text in module._together(states, by_hand(by_preset={"fast": CHEAP}, dt=0.1, steps=9))
 
 
 def test_a_run_is_timed_after_its_first_steps_until_that_took_long_enough(monkeypatch):
@@ -487,12 +496,3 @@ def test_a_table_names_the_best_preset_that_a_setting_keeps(factor, is_kept):
     errors = {name: ((factor * most,) * 3,) * 2 for name, most in dc.presets.PRESETS["accurate"].items()}
     header, *lines = by_hand(rows=rows(**errors)).table()
     assert [line[header.index("keeps")] == "accurate" for line in lines] == [is_kept] * 2
-
-
-def test_the_predicted_cost_of_a_run_is_the_mean_of_its_moments(monkeypatch):
-    monkeypatch.setattr(module, "repeat", lambda *_, **__: [3.0])  # s, of one interval
-    monkeypatch.setattr(module, "timeit", lambda *_, **__: 0.0)
-    fast = module.setting_of(dc.PGS(sweeps=2, tolerance=None), 0.01)
-    setting = SimpleNamespace(settings={"one": fast}, by_preset={"fast": "one"}, digests=[])
-    costs, _ = module._costs(setting, {"one": fast}, dc.column(2), 5, 0.05)
-    assert costs == {"one": 5 * 3.0}
