@@ -66,28 +66,6 @@ def engine(kind: str = "settled") -> list[list]:
     return rows
 
 
-def runs() -> list[list]:
-    """Microseconds of a step as users run it, by every method, and the memory of a run."""
-    data = stored("benchmark_step")["data"]
-    kinds = list(data["runs"][0]["us"])
-    rows = [["pile", *kinds, "memory, MB"]]
-    for run in data["runs"]:
-        memory = data["memory_mb"].get(str(run["n_bodies"]))
-        cells = [f"{us:,.1f}" if us < 1e3 else f"{us:,.0f}" for us in (run["us"][name] for name in kinds)]
-        rows.append([f"{run['n_bodies']:,} {run['kind']}", *cells, f"{memory:,.0f}" if memory else "–"])
-    return rows
-
-
-def many() -> list[list]:
-    """A step of many small piles by one call: on one core, on all, and a minute's steps of each core."""
-    found = stored("benchmark_step")["data"]["many"]
-    rows = [["16 piles of 100", "µs a step", "steps a minute and core"]]
-    for name, us in found["us"].items():
-        cores = found["cores"] if name == "all cores" else 1
-        rows.append([name, f"{us:.1f}", f"{60e6 / us / cores:,.0f}"])
-    return rows
-
-
 def noticed() -> list[list]:
     """What was done to find what the tests overlook."""
     fuzz = stored("fuzz")["targets"]
@@ -318,7 +296,7 @@ In the list of elements *right* says that an element was derived or measured her
 there is nothing to check.
 """
 
-_MADE = (engine, runs, many, live, first_calls, noticed, presets, rivals, rivals_short, kinds, missed, figures)
+_MADE = (engine, live, first_calls, noticed, presets, rivals, rivals_short, kinds, missed, figures)
 
 TABLES = {table.__name__.replace("_", " "): table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True, holding=False),

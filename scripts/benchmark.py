@@ -1,7 +1,6 @@
 """python scripts/benchmark.py NAME [--quick] [--set NAME=VALUE] …: timings, in turns, of which the least counts.
 
 engine   ours beside Box2D 2.3, pymunk and Box2D v3 on the same piles: the cost of a sweep, of a step, and the overhead
-step     whole steps of ours by PGS and by colours; memory; many small piles
 live     settled piles as users step them: in one call, step by step, watched; beside other programs; the first call
 
 Nothing else should run meanwhile. The files are benchmark_NAME.json and its picture, in figures/ or in --out.
@@ -21,7 +20,6 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact import peers
-from deep_contact.parallel import cores
 from deep_contact.physics.solvers import PGS, BatchedPGS
 from deep_contact.reporting import Claim, Figure, figures
 from deep_contact.state import State
@@ -39,8 +37,6 @@ BLOCKS = (FEW, MANY, MANY, FEW)
 """Sweeps of the blocks of steps that are timed. In this order a pile's change while it falls cancels out."""
 WARM_UP = 10
 """Steps of each engine before timing: caches, search for pairs and starting impulses settle."""
-LARGE = 100_000
-"""Circles from which on piles are packed instead of dropped."""
 
 
 def fixed_sweeps(sweeps: int, method=PGS, **options):
@@ -49,9 +45,7 @@ def fixed_sweeps(sweeps: int, method=PGS, **options):
 
 
 def made_pile(kind: str, n_bodies: int, seed: int) -> State:
-    """A pile with contacts. kind: "settled", "falling" (a contact a circle) or "packed"."""
-    if kind == "packed":
-        return piles.packed_pile(n_bodies, seed=seed, steps=50)
+    """A pile with contacts. kind: "settled" or "falling", with a contact a circle."""
     kind = {"settled": "resting"}.get(kind, kind)
     return piles.pile(kind, n_bodies, seed, solver=fixed_sweeps(FEW), most=3000, make=dc.lattice_in_box)
 
@@ -74,14 +68,6 @@ class Ours:
         return self.state.contacts.count
 
 
-class OursByStep(Ours):
-    """Our engine by `step`, which validates the state every time."""
-
-    def run(self, steps: int, dt: float, sweeps: int, position_sweeps: int) -> None:
-        for _ in range(steps):
-            self.state = dc.step(self.state, solver=fixed_sweeps(sweeps))
-
-
 PEERS = peers.ENGINES | {
     f"{name}, two threads": partial(adapter, threads=2)
     for name, adapter in peers.ENGINES.items()
@@ -90,7 +76,6 @@ PEERS = peers.ENGINES | {
 ENGINES = {
     "ours": Ours,
     "in colours": partial(Ours, method=BatchedPGS),
-    "dc.step": OursByStep,
 } | PEERS
 """Name -> callable that takes a state and returns an adapter."""
 
@@ -179,55 +164,6 @@ def claims(data: dict) -> Iterator[Claim]:
         }:
             worst = min(met, key=met.get)
             yield Claim(text, None, bool(met[worst] >= factor), {"worst case": worst, "ratio": met[worst]})
-
-
-# ---- whole steps ----
-
-RUNS = {
-    "PGS": fixed_sweeps(FEW),
-    "colours": fixed_sweeps(FEW, BatchedPGS),
-}
-"""Name -> solver whose steps are timed."""
-
-MEMORY = """
-import deep_contact as dc
-from deep_contact.studies.piles import packed_pile
-dc.simulate(packed_pile({n_bodies}, steps=0), steps=5, solver=dc.PGS(sweeps=10, tolerance=None, position_sweeps=3))
-"""
-"""What a process does whose largest memory is measured."""
-
-
-def step(options, seed, jobs, progress):
-    """Microseconds of a step in a run, memory of large runs, and many piles of 100 in one call."""
-    runs, repeats = [], options["repeats"]
-    for n_bodies in progress(options["sizes"], text="sizes"):
-        steps = max(5, min(200, 200_000 // n_bodies))
-        for kind in ("packed",) if n_bodies >= LARGE else ("settled", "falling"):
-            state = dc.simulate(made_pile(kind, n_bodies, seed), steps=WARM_UP, solver=fixed_sweeps(FEW)).state
-            calls = {name: partial(dc.simulate, state, steps=steps, solver=solver) for name, solver in RUNS.items()}
-            least = timing.interleaved(calls, repeats=max(2, min(repeats, 3_000_000 // n_bodies)))
-            us = {name: 1e6 * seconds / steps for name, seconds in least.items()}
-            runs.append({"n_bodies": n_bodies, "kind": kind, "us": us})
-    memory = {str(n): timing.fresh(MEMORY.format(n_bodies=n))["memory_kib"] for n in options["sizes"] if n >= LARGE}
-    memory = {n: 1.024e-3 * kib for n, kib in memory.items() if kib}
-    return {"runs": runs, "memory_mb": memory, "many": many_piles(seed, min(repeats, 5), options["steps"])}
-
-
-def step_table(data):
-    """Microseconds of a step of every method on every pile."""
-    rows = [[run["n_bodies"], run["kind"], *run["us"].values()] for run in data["runs"]]
-    return [["circles", "pile", *(f"{name}, µs" for name in data["runs"][0]["us"])], *rows]
-
-
-def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
-    """Settled piles of 100 by `simulate_many`: μs of a step on one core and on all, and in one long run ("bare")."""
-    states, solver = [made_pile("settled", 100, seed + k) for k in range(count)], fixed_sweeps(FEW)
-    many = partial(dc.simulate_many, states, solver=solver, steps=steps)
-    bare = partial(dc.simulate, states[0], solver=solver, steps=20 * steps)
-    calls = {"bare": bare, "one core": partial(many, threads=1), "all cores": many}
-    done = {"bare": 20 * steps, "one core": count * steps, "all cores": count * steps}
-    us = {name: 1e6 * seconds / done[name] for name, seconds in timing.interleaved(calls, repeats=repeats).items()}
-    return {"cores": cores(), "us": us}
 
 
 # ---- as users step ----
@@ -319,19 +255,14 @@ FIGURES = {
         options={"sizes": [100, 1000, 10_000], "repeats": 5, "steps": {"settled": 200, "falling": 30}},
         quick={"sizes": [100, 1000], "steps": {"settled": 10, "falling": 10}}, file="benchmark_engine",
     ),
-    "step": Figure(
-        "B.2", "Time of a step in a run", step, step_table,
-        options={"sizes": [100, 1000, 3000, 10_000, 100_000, 1_000_000], "repeats": 10, "steps": 600},
-        quick={"sizes": [100, 1000], "steps": 20}, file="benchmark_step",
-    ),
     "live": Figure(
-        "B.3", "Time of a step as users step", live, live_table,
+        "B.2", "Time of a step as users step", live, live_table,
         options={"sizes": [10, 100, 1000, 3000, 10_000], "busy": [0, 1, 2], "work": 200_000, "repeats": 5,
                  "first": list(SCENES)},
         quick={"sizes": [10], "busy": [0, 1], "work": 50, "repeats": 2, "first": []}, file="benchmark_live",
     ),
 }  # fmt: skip
-"""Name -> what is timed. The steps of "step" are those of many small piles."""
+"""Name -> what is timed."""
 
 if __name__ == "__main__":
     if sys.argv[1:2] and sys.argv[1] in FIGURES:

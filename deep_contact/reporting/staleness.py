@@ -28,7 +28,6 @@ STUDIES = {
     "run_tradeoff": [_SCRIPTS / "run_tradeoff.py"],
     "run_tradeoff_verify": [_SCRIPTS / "run_tradeoff_verify.py"],
     "benchmark_engine": [_SCRIPTS / "benchmark.py", "engine"],
-    "benchmark_step": [_SCRIPTS / "benchmark.py", "step"],
     "benchmark_live": [_SCRIPTS / "benchmark.py", "live"],
 }
 """File of data/reference -> the script that writes it, and its name there."""

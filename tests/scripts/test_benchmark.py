@@ -31,13 +31,6 @@ def test_engines_are_compared(run):
     assert {claim["text"] for claim in found["claims"]} < benchmark.GOALS.keys()
 
 
-def test_steps_are_timed_as_users_run_them(run):
-    found = run("step", sizes=[20], repeats=1)["data"]
-    assert [row["kind"] for row in found["runs"]] == ["settled", "falling"]
-    assert all(us > 0 for row in found["runs"] for us in row["us"].values())
-    assert set(found["many"]["us"]) == {"bare", "one core", "all cores"}
-
-
 @pytest.mark.peers
 def test_ways_to_step_are_timed_beside_busy_processes(run):
     pytest.importorskip("Box2D")
