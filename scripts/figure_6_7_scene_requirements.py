@@ -11,17 +11,12 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact import constants, parallel
-from deep_contact.physics.engine import Steps, step_input
 from deep_contact.physics.ready import ready
-from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import PGS
-from deep_contact.physics.step import make_log
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.simulation import simulate, solve_contacts
-from deep_contact.state import State, World
-from deep_contact.state.checks import make_bodies
+from deep_contact.state import State
 from deep_contact.studies import piles, timing
-from deep_contact.studies.starts import solved_states
 
 FEW = 10
 """Sweeps of the shorter of two solves, whose difference is the time of a sweep."""
@@ -49,17 +44,6 @@ def at_rest(scene: State) -> State:
         if run.relaxations[-1] == 0:
             break
     return scene
-
-
-def heaps_and_one_rolling(n_bodies: int, seed: int) -> State:
-    """Heaps at rest, and one circle more that rolls along the floor away from them."""
-    scene = circles_in_box(n_bodies, seed=seed, **SCATTERED)
-    (right, height), speed = SCATTERED["size"], 1.0
-    scene = scene.replace(world=World(box=(0.0, 0.0, right + 100.0, height)))
-    heaps = at_rest(scene).bodies
-    position = np.vstack([heaps.position, [right + 20.0, 1.0 + constants.WALL_SKIN]])
-    velocity = np.vstack([heaps.velocity, [speed, 0.0]])
-    return scene.replace(bodies=make_bodies(position, velocity=velocity, spin=np.append(heaps.spin, -speed)))
 
 
 def apart(one: State, other: State) -> float:
@@ -92,84 +76,47 @@ def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
 
 
 def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
-    """What parts of `STEP` cost a resting pile, s per step: being awake, position correction, calls between steps.
+    """What being awake and position correction cost a resting pile, s per step of `STEP`.
 
-    "apart": what leaving a part out changes in so many steps. Circles may fall asleep in them.
+    "apart": what leaving a part out changes in so many steps.
     """
-    pile, rolling = ready(at_rest(piles.scene(n_bodies, seed))), ready(heaps_and_one_rolling(n_bodies, seed))
-    still = np.full(n_bodies, np.inf)
-    asleep = {"asleep": _Asleep(pile, still, steps)}
-    asleep["one rolling, asleep"] = _Asleep(rolling, np.append(still, 0.0), steps)
-    step = functools.partial(simulate, steps=steps, solver=STEP)
+    pile = at_rest(piles.scene(n_bodies, seed))
     ways = {
-        "awake": functools.partial(step, pile),
-        "one rolling, awake": functools.partial(step, rolling),
-        "uncorrected": functools.partial(step, pile, solver=replace(STEP, position_sweeps=0)),
-        "called": functools.partial(step, pile, on_step=lambda *_: None),
+        "awake": dc.Simulator(pile, solver=STEP),
+        "asleep": dc.Simulator(pile, solver=STEP, sleep=True),
+        "no position correction": dc.Simulator(pile, solver=replace(STEP, position_sweeps=0)),
     }
-    runs, setup = ({name: getattr(one, part) for name, one in asleep.items()} for part in ("run", "reset"))
-    times = {name: took / steps for name, took in interleaved(ways | runs, repeats=repeats, setup=setup).items()}
-    ways |= {name: functools.partial(step, state, sleep=True) for name, state in zip(asleep, (pile, rolling))}
-    ends = {name: way().state for name, way in ways.items()}
-    pairs = {
-        "asleep": ("awake", "asleep"),
-        "asleep but for one": ("one rolling, awake", "one rolling, asleep"),
-        "no position correction": ("awake", "uncorrected"),
-        "no call between steps": ("called", "awake"),
-    }
+    runs = {name: functools.partial(one.step, steps) for name, one in ways.items()}
+    for run in runs.values():
+        run()  # in which circles fall asleep
+    ends = {name: one.state for name, one in ways.items()}
+    times = {name: took / steps for name, took in interleaved(runs, repeats=repeats).items()}
     return {
-        name: timing.ratio(times[general], times[special]) | {"apart": apart(ends[general], ends[special])}
-        for name, (general, special) in pairs.items()
+        name: timing.ratio(times["awake"], times[name]) | {"apart": apart(ends["awake"], ends[name])}
+        for name in ways.keys() - {"awake"}
     }
 
 
-class _Asleep:
-    """Steps of `STEP` by circles that have been still for `still`, (n,), s: `simulate` lets all start awake.
+def island_savings(scene: State, *, steps: int) -> dict:
+    """What islands save a run: {"relaxations", "seconds": (without islands, with them), "apart", "difference"}.
 
-    It calls the compiled step itself. `reset` prepares a run.
+    "apart", m, and "difference", m/s: largest of positions and of velocities after one step from the middle of the run.
     """
-
-    def __init__(self, state: State, still: np.ndarray, steps: int):
-        self._state, self._still, self._steps = state, still, steps
-
-    def reset(self) -> None:
-        parts = {"bodies": self._state.bodies, "contacts": self._state.contacts}
-        copies = {name: part._make(field.copy() for field in part) for name, part in parts.items()}
-        self._input, self._contacts = step_input(self._state.replace(**copies), STEP), copies["contacts"]
-        self._advance = Steps(STEP, self._state.bodies.count, sleep=True)
-        self._log = make_log(self._steps)
-        self._advance.sleep.still[:] = self._still
-
-    def run(self) -> None:
-        self._advance(self._input, self._contacts, self._log)
+    ways = {"together": PGS(), "islands": PGS(islands=True)}
+    runs = {name: functools.partial(simulate, scene, steps=steps, solver=solver) for name, solver in ways.items()}
+    seconds = interleaved(runs, repeats=3, reduce=min)
+    relaxations = [int(run().relaxations.sum()) for run in runs.values()]
+    middle = simulate(scene, steps=steps // 2, solver=ways["together"]).state
+    one, other = (simulate(middle, steps=1, solver=solver).state for solver in ways.values())
+    difference = np.abs(one.bodies.velocity - other.bodies.velocity).max()
+    found = {"relaxations": relaxations, "seconds": list(seconds.values())}
+    return found | {"apart": apart(one, other), "difference": float(difference)}
 
 
-def island_savings(scene: State, *, steps: int, every: int) -> dict:
-    """What islands save a run, on the same states: one in `every` steps of the run without islands.
-
-    Returns {"together", "apart": relaxations of each state, "seconds_together", "seconds_apart": the least of three,
-    "difference": largest between the velocities of both, m/s}.
-    """
-    ways = {"together": PGS(), "apart": PGS(islands=True)}
-    states = solved_states(scene, steps=steps, every=every, solver=ways["together"])
-    calls = {(name, k): functools.partial(solve_contacts, state, solver=solver)
-             for k, state in enumerate(states) for name, solver in ways.items()}  # fmt: skip
-    took, measured = interleaved(calls, repeats=3, reduce=min), {}
-    for name, solver in ways.items():
-        relaxations = [simulate(state, steps=1, solver=solver).relaxations[0] for state in states]
-        measured[name] = np.array(relaxations, dtype=int)
-        measured[f"seconds_{name}"] = np.array([took[name, k] for k in range(len(states))])
-    ends = ([calls[name, k]().velocities for name in ways] for k in range(len(states)))
-    return measured | {"difference": np.array([np.abs(one - other).max() for one, other in ends])}
-
-
-def saving_by_run(runs: list[dict], unit: str = "") -> dict:
-    """The saving in the runs of `island_savings`, of relaxations or of "seconds_". "apart" is that of one step."""
-    general, special = (
-        np.array([run[f"{unit}{name}"].sum() for run in runs], dtype=float) for name in ("together", "apart")
-    )
-    distance = constants.TIME_STEP * max(run["difference"].max() for run in runs)
-    return timing.ratio(general, special) | {"apart": distance}
+def saving_by_scene(runs: list[dict], unit: str) -> dict:
+    """The saving in the runs of `island_savings`, of "relaxations" or "seconds"."""
+    general, special = np.array([run[unit] for run in runs], dtype=float).T
+    return timing.ratio(general, special) | {"apart": max(run["apart"] for run in runs)}
 
 
 JOBS = {
@@ -191,9 +138,7 @@ def job(name: str) -> dict:
 
 NAMES = {
     "asleep": ("asleep: a step", "µs"),
-    "asleep but for one": ("asleep but for one circle: a step", "µs"),
     "no position correction": ("no position correction: a step", "µs"),
-    "no call between steps": ("no call between steps: a step", "µs"),
     "islands, one pile": ("islands, thesis scene: relaxations", ""),
     "islands, one pile, time": ("islands, thesis scene: time", "ms"),
     "islands, heaps": ("islands, scattered heaps: relaxations", ""),
@@ -220,9 +165,9 @@ def compute(options, seed, jobs, progress):
     for name, (_, scene) in CONTEXTS.items():
         seeds = progress(parallel.seeds(seed, options["scenes"]), text=name)
         scenes = (dc.circles_in_box(n, seed=s, **scene) for s in seeds)
-        islands[name] = [island_savings(s, steps=options["steps"], every=options["every"]) for s in scenes]
-        measured[name] = saving_by_run(islands[name])
-        measured[f"{name}, time"] = saving_by_run(islands[name], "seconds_")
+        islands[name] = [island_savings(s, steps=options["steps"]) for s in scenes]
+        measured[name] = saving_by_scene(islands[name], "relaxations")
+        measured[f"{name}, time"] = saving_by_scene(islands[name], "seconds")
     jobs = {name: job(name) for name in progress(options["jobs"], text="jobs")}
     return {"savings": measured, "sweeps": sweeps, "islands": islands, "jobs": jobs}
 
@@ -237,12 +182,11 @@ def claims(data):
         measured = {"ratio": ratios[name], "in time": ratios[f"{name}, time"]}
         yield Claim(text, None, ratios[name] >= 2, measured)
     for name, (where, _) in CONTEXTS.items():
-        largest = max(max(run["difference"]) for run in data["islands"][name])
+        largest = max(run["difference"] for run in data["islands"][name])
         text = f"on {where} islands leave the velocities as they are within 6e-5 m/s"
         yield Claim(text, None, largest <= constants.THETA_TOLERANCE, {"largest difference": largest})
-    share = {name: 1 / ratios[name] for name in ("asleep", "asleep but for one")}
-    text = "a resting pile that sleeps costs at most 5 % of one that is awake"
-    yield Claim(text, None, share["asleep"] <= 0.05, share)
+    text, share = "a resting pile that sleeps costs at most 5 % of one that is awake", 1 / ratios["asleep"]
+    yield Claim(text, None, share <= 0.05, {"share": share})
     light = {name: one["heavy"] for name, one in data["jobs"].items()}
     holds = not light.get("import") and not {"tensorflow", "keras"} & set(light.get("simulate", ()))
     yield Claim("an import loads none of the packages, a simulation no TensorFlow", None, holds, light)
@@ -291,11 +235,11 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "sizes": [100, 1000], "n_bodies": 100, "timed": 1000, "repeats": 15, "scenes": 5, "steps": 600, "every": 5,
+    "sizes": [100, 1000], "n_bodies": 100, "timed": 1000, "repeats": 15, "scenes": 5, "steps": 600,
     "jobs": list(JOBS),
 }  # fmt: skip
 QUICK = {
-    "sizes": [100], "timed": 200, "repeats": 5, "scenes": 1, "steps": 200, "every": 20, "jobs": ["import", "simulate"],
+    "sizes": [100], "timed": 200, "repeats": 5, "scenes": 1, "steps": 200, "jobs": ["import", "simulate"],
 }  # fmt: skip
 FIGURE = Figure("6.7", "What modelling only what a scene requires saves", compute, table, draw, claims, options=OPTIONS,
                 quick=QUICK)  # fmt: skip

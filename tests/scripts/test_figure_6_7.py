@@ -9,17 +9,23 @@ from conftest import circles_at, load_script
 savings = load_script("figure_6_7")
 
 
-def test_a_saving_is_the_ratio_of_what_whole_runs_take():
-    """Two runs of two states, 30 : 10 and 40 : 20 relaxations; velocities differ by up to 0.5 m/s, for a step."""
-    runs = [
-        {"together": np.array([10, 20]), "apart": np.array([4, 6]), "difference": np.array([0.1, 0.5])},
-        {"together": np.array([30, 10]), "apart": np.array([5, 15]), "difference": np.array([0.2, 0.0])},
-    ]
-    runs = [one | {f"seconds_{name}": 2.0 * one["together"] for name in ("together", "apart")} for one in runs]
-    found = savings.saving_by_run(runs)
-    assert (found["ratio"], found["general"], found["special"]) == (2.5, 30.0, 10.0)
-    assert found["apart"] == pytest.approx(0.01 * 0.5)
-    assert savings.saving_by_run(runs, "seconds_")["ratio"] == 1.0
+def test_a_saving_is_the_median_of_the_ratios_of_scenes():
+    """Of three scenes, 30 : 10, 40 : 20 and 10 : 5; the least of each is what is paid."""
+    pairs, far = [(30, 10), (40, 20), (10, 5)], [0.0, 0.005, 0.001]
+    runs = [{"relaxations": pair, "seconds": (2.0, 4.0), "apart": apart} for pair, apart in zip(pairs, far)]
+    found = savings.saving_by_scene(runs, "relaxations")
+    assert (found["ratio"], found["general"], found["special"], found["apart"]) == (2.0, 10.0, 5.0, 0.005)
+    assert savings.saving_by_scene(runs, "seconds")["ratio"] == 0.5
+
+
+def test_islands_are_asked_on_the_same_scene_and_on_one_step_from_its_middle():
+    """Two columns that stand apart: islands relax no more than one pile, and move nothing by more than the slop."""
+    scene = circles_at([[5.0, 1.0], [5.0, 3.0], [15.0, 1.0]])
+    found = savings.island_savings(scene, steps=10)
+    together, islands = found["relaxations"]
+    assert 0 < islands < together
+    assert found["apart"] <= 1e-6
+    assert min(found["seconds"]) > 0
 
 
 def test_two_states_are_as_far_apart_as_the_circle_that_is_farthest():
