@@ -27,6 +27,24 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell has it in th
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+ENGINE_LAST = "reporting/test_readme.py", "physics/", "studies/"
+"""Where tests need many kinds of steps."""
+
+
+def pytest_collection_modifyitems(items):
+    """Golden runs first: one process compiles their kinds of steps, and the other tests meanwhile what needs few kinds.
+
+    Where both need the same kind at the same time, one of them waits for the other.
+    """
+
+    def place(item):
+        name = item.path.relative_to(Path(__file__).parent).as_posix()
+        kinds = [k for k, start in enumerate(ENGINE_LAST) if name.startswith(start)]
+        return name != "test_golden.py", *kinds
+
+    items.sort(key=place)
+
+
 def load_script(name):
     """The script, tool or example of this name, or figure_6_6_….py for "figure_6_6", a module that pickles by name."""
     places = (folder.glob(pattern) for pattern in (f"{name}.py", f"{name}_*.py") for folder in FOLDERS)
