@@ -259,7 +259,7 @@ class Trade:
     rows: of each setting {"name", "setting", "group": method or engine, "seeds", "us": time of a step of Δt, "errors":
     name -> (value, low, high) or None}; the errors of `ERRORS` in their units, those of quantities as shares.
     noise: error -> what seeds alone make of it. converged: error -> what half the step changes. notes: sentences.
-    by_preset: preset -> name of what the study takes for it.
+    by_preset: preset -> name of what the study takes for it. reference, half: settings, half with half the step.
     """
 
     scene: str
@@ -269,6 +269,7 @@ class Trade:
     settings: dict
     by_preset: dict
     reference: dict
+    half: dict
     quantities: list
     digests: list  # of the scene of each seed
     looks: dict = field(default_factory=dict)  # quantity -> digest of what it is of the first scene
@@ -397,7 +398,7 @@ def load_trade(path) -> Trade:
         for name, kind in typing.get_type_hints(Trade).items():
             value = getattr(trade, name)
             expect(isinstance(value, (kind, int) if kind is float else kind), f"{name}: {brief(value)}")
-        for setting in (trade.reference, *trade.settings.values()):
+        for setting in (trade.reference, trade.half, *trade.settings.values()):
             expect("engine" in setting or solver_of(setting), f"settings: {brief(setting)}")
         str(trade)  # which looks at all rows
         return trade
@@ -476,9 +477,7 @@ def _intervals(trade: Trade) -> tuple[int, float]:
 
 def _run(trade: Trade, states: Sequence[State], quantities: Mapping, minutes: float | None, jobs) -> None:
     """Do all runs, until the time is over or the user interrupts them; what they gave is in the trade."""
-    numbers = scene_numbers(states[0])
-    half = reference_of(numbers, stiffness(states[0], numbers), 2)
-    settings = {REFERENCE: trade.reference, **trade.settings, HALF: half}
+    settings = {REFERENCE: trade.reference, **trade.settings, HALF: trade.half}
     runs = [run for run in product(settings, range(len(states))) if run not in trade.observed]
     runs.sort(key=lambda run: run[1])  # seed by seed: a budget that ends leaves out seeds, not settings
     where = *_intervals(trade), quantities
@@ -578,9 +577,10 @@ def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantit
             Run(first, setting).advance(1)
     named = {name_of(one, first.dt): one for one in (*by_preset.values(), *more, *found)}
     values = {name: with_next(name, quantity, ready(first), []) for name, quantity in quantities.items()}
+    true, half = (reference_of(numbers, stiff, finer) for finer in (1, 2))
     return Trade(
         scene=first.name, n_bodies=first.bodies.count, dt=first.dt, steps=steps, notes=notes,
-        quantities=list(quantities), settings=named, reference=reference_of(numbers, stiff), cpu=provenance()["cpu"],
+        quantities=list(quantities), settings=named, reference=true, half=half, cpu=provenance()["cpu"],
         by_preset={preset: name_of(one, first.dt) for preset, one in by_preset.items()},
         digests=list(map(_digest_of_state, states)),
         looks={name: _digest(value if isinstance(value, str) else value[0]) for name, value in values.items()},

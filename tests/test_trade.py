@@ -311,7 +311,9 @@ def by_hand(**changes):
     """A trade of two settings on two circles, of which nothing is known yet."""
     of_scene = {"scene": "two", "n_bodies": 2, "dt": 0.01, "steps": 40, "digests": ["a", "b"], "quantities": ["q"]}
     return module.Trade(
-        **of_scene | {"settings": SETTINGS, "by_preset": {}, "reference": SETTINGS[DEAR], "seeds": 2} | changes
+        **of_scene
+        | {"settings": SETTINGS, "by_preset": {}, "reference": SETTINGS[DEAR], "half": SETTINGS[DEAR], "seeds": 2}
+        | changes
     )
 
 
