@@ -1,8 +1,11 @@
 """The interface of the engine: a changed time step, and what callers may hand over."""
 
+import gc
 import re
+import threading
 import tracemalloc
 import warnings
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -217,3 +220,96 @@ def test_a_state_without_a_past_gets_one(name, monkeypatch):
         start = np.ones(state.contacts.count)
         dc.simulate(state.replace(contacts=state.contacts._replace(normal_start=start)), steps=0)
         assert len(made) == 2
+
+
+# ---- a call that goes on from the state of the call before ----
+
+
+def nothing(state):
+    return {}
+
+
+def faster(state):
+    state.bodies.velocity[0] += 1.0
+    return {}
+
+
+def without_impulses(state):
+    state.contacts.normal_start[:] = 0.0
+    return {}
+
+
+GOES_ON = {
+    "as it was": (nothing, True),
+    "a circle that is faster": (faster, False),
+    "no impulses": (without_impulses, False),
+    "another solver": (lambda state: {"accuracy": None, "solver": dc.PGS(sweeps=3, tolerance=None)}, False),
+    "another preset": (lambda state: {"accuracy": "reference"}, False),
+    "the solver of the state": (lambda state: {"accuracy": None}, False),
+    "from zero": (lambda state: {"warm_start": None, "accuracy": None}, False),
+    "another step": (lambda state: {"dt": 0.005}, False),
+    "another world": (lambda state: {"state": state.replace(world=replace(state.world, gravity=(0.0, -5.0)))}, False),
+    "a push": (lambda state: {"push": np.ones((state.bodies.count, 2))}, False),
+    "asleep": (lambda state: {"sleep": True}, False),
+}
+"""What a caller does between two calls -> changes a state in place, and returns arguments; whether the run goes on."""
+
+
+@pytest.mark.parametrize("name", GOES_ON)
+def test_a_call_that_takes_over_the_run_before_it_gives_the_bits_of_one_that_does_not(name):
+    """It compares arrays, since they can be written into."""
+    change, goes_on = GOES_ON[name]
+    pile = dc.simulate(dc.circles_in_box(12, size=10.0, seed=1), steps=60, accuracy="fast").state
+    how = {"state": pile, "steps": 3, "accuracy": "fast"} | change(pile)
+    reference, _, before = simulation._last_run.kept
+    assert reference() is pile
+    run = dc.simulate(**how)
+    assert (before.time > pile.time) == goes_on
+    simulation._last_run.kept = None
+    again = dc.simulate(**how)
+    assert_same_bits(run.state, again.state)
+    assert (run.state.time, run.state.preset, run.state.load) == (
+        again.state.time,
+        again.state.preset,
+        again.state.load,
+    )
+    np.testing.assert_array_equal(run.sweeps, again.sweeps)
+
+
+def test_a_run_that_is_taken_over_starts_awake():
+    """As from a state: who sleeps is known within a call only."""
+    state = dc.simulate(dc.column(2), steps=200, solver=dc.PGS(), sleep=True).state
+    assert dc.simulate(state, steps=1, solver=dc.PGS(), sleep=True).contacts[0] == 2
+
+
+def test_a_loop_of_calls_takes_over_one_run_and_lets_it_go_with_its_state():
+    state = dc.simulate(dc.column(3), steps=1, solver=dc.PGS()).state
+    run = simulation._last_run.kept[2]
+    for _ in range(5):
+        state = dc.step(state, solver=dc.PGS())
+        assert simulation._last_run.kept[2] is run
+    other = dc.simulate(dc.column(2), steps=1).state  # the state of before is of no call's run now
+    assert simulation._last_run.kept[0]() is other
+    assert_same_bits(dc.simulate(dc.column(3), steps=8, solver=dc.PGS()).state, dc.simulate(state, steps=2).state)
+    other = None
+    assert dc.simulate(dc.column(2), steps=1).sweeps.size == 1  # whose state nobody keeps
+    gc.collect()
+    assert simulation._last_run.kept is None
+
+
+def test_two_threads_take_over_their_own_runs():
+    state, ends, kept = dc.simulate(dc.column(3), steps=20, solver=dc.PGS()).state, {}, {}
+
+    def go_on(name):
+        kept[name] = simulation._last_run.kept
+        ends[name] = dc.simulate(state, steps=20, solver=dc.PGS()).state
+
+    threads = [threading.Thread(target=go_on, args=(name,)) for name in range(2)]
+    for thread in threads:
+        thread.start()
+    go_on("here")
+    for thread in threads:
+        thread.join()
+    assert [name for name in kept if kept[name]] == ["here"]
+    for end in ends.values():
+        assert_same_bits(end, ends["here"])

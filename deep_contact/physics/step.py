@@ -143,7 +143,7 @@ class StepLog(NamedTuple):
 def make_log(steps: int, loads: int = 0, circles: int = 0) -> StepLog:
     """A log for so many steps, which one call may do all. loads, circles: walls and segments, and circles, or 0."""
     columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64, np.int64))
-    progress = np.array([0, np.iinfo(np.int64).max, 0, 0, 1])
+    progress = np.array([0, 2**63 - 1, 0, 0, 1])  # with no bound on the work
     return StepLog(*columns, progress, np.zeros((loads, 2)), np.zeros((0, 8)), np.zeros((circles, 2)), np.zeros(1))
 
 
