@@ -64,9 +64,10 @@ from deep_contact.state.scales import ContactScales, mean
 def advance(setup, contacts, motion, sleep, log, drive):
     """Do as many steps as the log has rows, or until its work is done: the bodies move in place.
 
-    Each step is as many substeps as the solver asks for, and motion may divide these (`substeps`). What nothing in the
-    scene requires is not compiled: segments, restitution, motion, sleep, and what stops fast circles: without that the
-    call ends before the first substep that has one, and the next call goes on there.
+    A step has as many substeps as the solver asks for. Motion may divide these further (`substeps`). Code that the
+    scene does not need is not compiled: that for segments, restitution, motion and sleep, and that which stops fast
+    circles. Where a circle becomes fast and that code is missing, the call ends before the substep. The next call has
+    the code, and goes on there.
     Returns the contacts found, in memory that the next call writes into, and `StepLog.received`.
     setup: `StepSetup`. motion, drive: of its step; motion is None where it has nothing rare. sleep: `SleepMemory`, None
     where nothing may. log: `StepLog`, filled.
@@ -112,9 +113,9 @@ def advance(setup, contacts, motion, sleep, log, drive):
 def do_part(part, motion, contacts, sleep, options, memory, log, received, k, turn, drive):
     """A part of the k-th step: velocities, positions, and the contacts that the next part solves, in buffer `turn`.
 
-    Returns whether it is done, its contacts, `StepLog.received` and the segments after it: (False, as they are) before
-    a fast circle that nothing compiled stops. It has no call of its own, which would count references to all arrays
-    that are handed on.
+    Returns whether it is done, its contacts, `StepLog.received` and the segments after it. Where a circle is fast and
+    the code that stops it is missing, nothing is done: it returns False, and all as it was. It is inlined: a call would
+    count references to all arrays that are handed on.
     """
     bodies, box, segments, scales, friction = part.bodies, part.box, part.segments, part.scales, part.friction
     solver_bodies, theta, rows, cells = memory.solver_bodies, memory.theta, memory.rows, memory.cells
