@@ -111,11 +111,11 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add("--bodies", type=int, metavar="N", help="circles of the scene (default: 100)")
     add("--size", type=float, metavar="M", help="side of its box, m (default: 30)")
     text = "of its circles, or the smallest and the largest, m (default: 1)"
-    add("--radius", type=float, nargs="+", metavar="R", help=text)
+    add("--radius", type=_number_or_word, nargs="+", metavar="R", help=text)
     add("--seed", type=int, metavar="N", help="of the scene, an integer >= 0 (default: 0)")
     add("--no-gravity", action="store_true", help="circles that drift and collide, instead of 9.81 m/s²")
     text = "downwards, or its x and y, m/s² (default: the state's, 9.81 in a scene)"
-    add("--gravity", type=float, nargs="+", metavar="G", help=text)
+    add("--gravity", type=_number_or_word, nargs="+", metavar="G", help=text)
     add("--friction", type=float, metavar="MU", help="coefficient μ (default: the state's, 0.5 in a scene)")
     add("--restitution", type=float, metavar="E", help="coefficient e, 0 to 1 (default: the state's, 0 in a scene)")
     add("--steps", type=int, default=600, metavar="N", help="time steps to run (default: %(default)s)")
@@ -128,6 +128,14 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add("--tolerance", type=float, metavar="N·s", help="θ, the largest change of an impulse, that ends a step's sweeps")
     add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of both")
     add("--out", metavar="FILE", help="the last state, .xml or .xml.gz; the run, .h5; a film of it, .gif or .mp4")
+
+
+def _number_or_word(text: str) -> float | str:
+    """A word is the state file, where it comes last (`_scene`): argparse gives it to the option before it."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def _add_trade(parser: argparse.ArgumentParser) -> None:
@@ -232,7 +240,10 @@ def _scene(args):
         integer("--sweeps", args.sweeps, least=1)
     radius, gravity = args.radius, args.gravity
     for flag, values in (("--radius", radius), ("--gravity", gravity)):
-        expect(not values or len(values) < 3, f"{flag}: expected one number or two, got {values}")
+        if values and len(values) > 1 and isinstance(values[-1], str) and args.state is None:
+            args.state = values.pop()
+        fits = not values or (len(values) < 3 and all(isinstance(value, float) for value in values))
+        expect(fits, f"{flag}: expected one number or two, got {values}")
     expect(not (gravity and args.no_gravity), f"--gravity: expected none beside --no-gravity, got {gravity}")
     if gravity and len(gravity) == 1:
         gravity = (0.0, 0.0 - gravity[0])

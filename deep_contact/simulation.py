@@ -21,6 +21,7 @@ from deep_contact.physics.engine import ContactSolution, StepProblem, Steps, con
 from deep_contact.physics.forces import SIDES
 from deep_contact.physics.load import has_new_load, load_of, with_a_past, with_new_load
 from deep_contact.physics.ready import ready
+from deep_contact.physics.sleeping import wake_pushed
 from deep_contact.physics.solvers import PGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.physics.step import DONE, FINITE, LAST_SWEEPS, WORK, StepLog, make_log, of_whole_step, some_steps
@@ -429,6 +430,8 @@ class Simulator:
         if callable(push):
             self._push = force, torque = checked_push(push(read_only(self.state)), self._scene.bodies.count)
             self._inputs = self._inputs._replace(drive=self._inputs.drive._replace(force=force, torque=torque))
+            if self._steps.sleep is not None:
+                wake_pushed(contacts, self._steps.sleep, self._inputs)
         if not isinstance(self._start, (Builtin, NoStart)):
             state = replace(self.state, push=self._push)
             normal, tangent, problem = starting_impulses(self._start, state, solver, self._scales)
@@ -556,7 +559,8 @@ def simulate(
     divided into substeps. At step 0 contacts that carry no impulses, as of positions from elsewhere, get those at which
     they rest, where there are any (`physics.relaxation`), or are solved well.
     sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
-    does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
+    does, or the push on them changes (`physics.sleeping`). Who sleeps is known within the run only: one that goes on
+    from its state starts awake.
     push: forces on the circles beside gravity, (n, 2), N, or a tuple of forces and torques, (n,), N·m; or a function of
     the state that returns them, which is asked before each step. Fixed circles feel none.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.

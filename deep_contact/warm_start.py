@@ -279,7 +279,13 @@ def warm_start_of(start: Start) -> WarmStart:
     if is_network(start):
         return Cnn(start)
     if start is None or isinstance(start, str):
-        return STARTS[one_of("warm_start", "none" if start is None else start, STARTS)]()
+        start = "none" if start is None else start
+        if start not in STARTS:
+            from deep_contact.cnn.registry import registered
+
+            hint = f"got {start!r}: a network is passed as dc.load_model({start!r})"
+            expect(start not in registered(), f"warm_start: expected one of {', '.join(STARTS)}, {hint}")
+        return STARTS[one_of("warm_start", start, STARTS)]()
     raise ValueError(f"warm_start: expected None, a name, a network, its path or a callable, got {brief(start)}")
 
 

@@ -3,7 +3,6 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.cnn.inference import load_model
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import chapter_4 as worked
 from deep_contact.studies import chapter_5, starts
@@ -11,7 +10,7 @@ from deep_contact.studies import chapter_5, starts
 
 def compute(options, seed, jobs, progress):
     """The masses that enter, the strongest maps of some layers, the prediction, and the solution beside it."""
-    model = load_model(options["model"])
+    model = chapter_5.image_network(options["model"])
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     state = starts.solved_states(scene, steps=options["steps"], contacts_only=False)[-1]
     if not state.contacts.count:

@@ -3,9 +3,9 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.cnn.inference import load_model
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import chapter_4 as worked
+from deep_contact.studies import chapter_5
 
 
 def compute(options, seed, jobs, progress):
@@ -13,7 +13,7 @@ def compute(options, seed, jobs, progress):
     from deep_contact.cnn.backend import keras
 
     keras.utils.set_random_seed(seed)  # of the masks
-    model = load_model(options["model"])
+    model = chapter_5.image_network(options["model"])
     network = model.network
     network.trainable = False  # with dropout at work, batch normalisation stays in inference
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)

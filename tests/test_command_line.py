@@ -187,6 +187,15 @@ def test_flags_change_the_world_of_a_scene_and_of_a_file(tmp_path, monkeypatch):
     assert dc.read_state("x.xml").world == dc.World(friction=1.0, restitution=0.4, gravity=(2.0, -3.0))
 
 
+def test_a_file_may_come_after_options_of_one_number_or_two(scene, capsys):
+    for words in (["--gravity", "1.62"], ["--gravity=1.62"], ["--gravity", "2", "-10"]):
+        assert main(["simulate", "--steps", "0", *words, str(scene)]) == 0
+        assert capsys.readouterr().out.startswith(f"{dc.read_state(scene).name}: 3 circles")
+        with pytest.raises(SystemExit, match="2"):
+            main(["simulate", "--steps", "0", *words, "--radius", "1", str(scene)])
+        assert "--radius: expected none beside STATE.xml" in capsys.readouterr().err
+
+
 def test_a_pile_of_a_file_whose_gravity_is_taken_away_stays(scene, tmp_path):
     # Its impulses held it up: kept, they would throw it up (`physics.load`).
     assert main(["simulate", str(scene), "--gravity", "0", "--steps", "2", "--out", str(tmp_path / "x.xml")]) == 0
@@ -232,6 +241,8 @@ def test_an_accuracy_picks_the_solver(capsys):
         (["simulate", "scene.xml", "--no-gravity"], "--no-gravity: expected none beside STATE.xml"),
         (["simulate", "--gravity", "1", "--no-gravity"], "--gravity: expected none beside --no-gravity, got [1.0]"),
         (["simulate", "--gravity", "1", "2", "3"], "--gravity: expected one number or two, got [1.0, 2.0, 3.0]"),
+        (["simulate", "--gravity", "a.xml"], "--gravity: expected one number or two, got ['a.xml']"),
+        (["simulate", "a.xml", "--gravity", "1", "b.xml"], "--gravity: expected one number or two, got [1.0, 'b.xml']"),
         (["simulate", "--radius", "2", "1"], "radius: expected finite 0 < smallest <= largest"),
         (["simulate", "--friction", "-1"], "friction: expected a finite number >= 0, got -1.0"),
         (["simulate", "--restitution", "2"], "restitution: expected a finite number >= 0 and <= 1, got 2.0"),

@@ -141,6 +141,7 @@ def _complete_contacts(root, contacts: list) -> None:
         if normal is not None and "normal" in normal.attrib:
             match = _VECTOR.fullmatch(_compact(normal, normal.get("normal")))
             expect(match, normal, "normal: expected b2Vec2(x, y)", normal.get("normal"))
+            del normal.attrib["normal"]
             normal.attrib.update({"x": match[1], "y": match[2]})
     for tag in ("start", "impulse"):
         for contact in contacts if root.find(f"contacts/contact/{tag}") is None else ():

@@ -110,7 +110,7 @@ def _read_tree(root, source: str) -> State:
     settings, world = _read_settings(root, parts)
     circles, box_body, rank = _number_bodies(xml_tree.elements_of(parts.get("bodies"), "body"), is_old)
     world |= _read_segments(xml_tree.elements_of(parts.get("segments"), "segment"), rank)
-    bodies = _read_bodies(Rows(circles, {*BODY, "shape"}))
+    bodies = _read_bodies(Rows(circles, BODY | {"shape": "value radius"}))
     box = _read_box(root, box_body, bodies, is_old)
     contacts = None
     if "contacts" in parts:
@@ -222,7 +222,9 @@ def _read_bodies(rows: Rows) -> Bodies:
 
 def _read_box(root, body, bodies: Bodies, is_old: bool) -> tuple:
     """(x_min, y_min, x_max, y_max)"""
-    parts = {} if body is None else xml_tree.children(body, {*BODY, "shape"})
+    tags = BODY | {"shape": "value"}
+    parts = {} if body is None else xml_tree.children(body, tags)
+    xml_tree.refuse_attributes_of(parts, tags)
     for tag in ("velocity", "orientation", "spin"):
         for name in (name for name in BODY[tag].split() if tag in parts and name in parts[tag].attrib):
             still = read_number(parts[tag], name) == 0
@@ -237,6 +239,8 @@ def _read_box(root, body, bodies: Bodies, is_old: bool) -> tuple:
     expect(shape is not None, root, "expected a fixed body, the box, with a shape")
     expect(shape.get("value") == "box", shape, "shape: expected box, with four corners", shape.get("value", ""))
     elements = xml_tree.elements_of(shape, "corner", {"value"})
+    for corner in elements:
+        xml_tree.refuse_attributes(corner, ("x", "y"))
     corners = [(read_number(corner, "x"), read_number(corner, "y")) for corner in elements]
     if "position" in parts:
         x, y = (read_number(parts["position"], name) for name in ("x", "y"))

@@ -116,6 +116,12 @@ def refuse_attributes(element, known) -> None:
             raise fault(element, message, element.get(name))
 
 
+def refuse_attributes_of(parts: dict, tags: dict[str, str]) -> None:
+    """Raise StateFileError for the first attribute of `children` that is not among those of its tag."""
+    for tag, child in parts.items():
+        refuse_attributes(child, tags[tag].split())
+
+
 def children(element, tags) -> dict:
     """The children of an element by tag, each of `tags` at most once."""
     parts = {}
@@ -150,11 +156,16 @@ def by_index(elements) -> dict:
 
 
 class Rows:
-    """Elements of one kind with their children by tag, read by columns."""
+    """Elements of one kind with their children by tag, read by columns.
 
-    def __init__(self, elements, tags):
+    tags: tag of a child -> its attributes, such as "x y". Others are refused.
+    """
+
+    def __init__(self, elements, tags: dict[str, str]):
         self.elements = list(elements)
         self.parts = [children(element, tags) for element in self.elements]
+        for parts in self.parts:
+            refuse_attributes_of(parts, tags)
 
     def texts(self, tag: str, name: str) -> list[str]:
         """An attribute of the child `tag` of every row."""

@@ -3,8 +3,8 @@
 A circle is still while its speed and spin are at most `sleep_speed` and `sleep_spin` of the `ContactScales`. An
 island falls asleep once all of its circles have been still for `sleep_time`, none of them accelerates, and none of its
 contacts is left to be corrected: their velocities become 0, and their impulses are kept to wake up with. It wakes as a
-whole when a circle that is awake touches it. Contacts are looked for among all circles, unless all are asleep. A new
-run starts awake.
+whole when a circle that is awake touches it, or when the push on one of its circles changes. Contacts are looked for
+among all circles, unless all are asleep. A new run starts awake.
 
 Box2D does not ask for acceleration, so a ball on a slope of 0.003 falls asleep there. Here each circle's way in half a
 sleep time is compared with its way in the half before, twice in a sleep time, and then islands fall asleep.
@@ -38,12 +38,15 @@ class SleepMemory(NamedTuple):
     active: Contacts  # buffer for the `Contacts` of circles that are awake
     parent: np.ndarray  # (n,): buffer: islands
     shortest: np.ndarray  # (n,): buffer: the shortest time of an island
+    force: np.ndarray  # (n, 2): the push of the last step in which a circle was awake (`wake_pushed`), N
+    torque: np.ndarray  # (n,): likewise, N·m
 
 
 def make_sleep_memory(n: int, capacity: int) -> SleepMemory:
     """A `SleepMemory` of n circles, all awake, with a buffer for so many contacts."""
     place, clock = np.full((2, n, 2), np.nan), np.full(1, np.inf)
-    return SleepMemory(np.zeros(n), place, clock, make_contacts(capacity), np.empty(n, np.int64), np.empty(n))
+    buffers = make_contacts(capacity), np.empty(n, np.int64), np.empty(n)
+    return SleepMemory(np.zeros(n), place, clock, *buffers, np.zeros((n, 2)), np.zeros(n))
 
 
 @njit(cache=True)
@@ -53,6 +56,36 @@ def all_asleep(sleep):
         if time < np.inf:
             return False
     return True
+
+
+@njit(cache=True, error_model="numpy")
+def wake_pushed(contacts, sleep, step):
+    """Wake, in place, the islands of sleeping circles whose push is another than the one they fell asleep under.
+
+    Where the difference accelerates a free circle by less than `look_at_places` sees, it sleeps on. contacts: those at
+    the bodies' positions. step: `StepInput` with the push of the step to come.
+    """
+    bodies, scales, drive, n = step.bodies, step.scales, step.drive, sleep.still.shape[0]
+    most, is_any = 4.0 * STEADY * scales.sleep_speed / scales.sleep_time, False
+    sleep.shortest[:] = np.inf
+    for i in range(n):
+        if sleep.still[i] == np.inf:
+            change = math.hypot(drive.force[i, 0] - sleep.force[i, 0], drive.force[i, 1] - sleep.force[i, 1])
+            change += abs(drive.torque[i] - sleep.torque[i]) / bodies.radius[i]
+            if change > most * bodies.mass[i]:
+                sleep.shortest[i], is_any = 0.0, True
+    if is_any:
+        unite(contacts.body_a, contacts.body_b, sleep.parent)
+        for i in range(n):
+            root = root_of(sleep.parent, i)
+            sleep.shortest[root] = min(sleep.shortest[root], sleep.shortest[i])
+        for i in range(n):
+            if sleep.shortest[root_of(sleep.parent, i)] == 0.0:
+                sleep.still[i] = 0.0
+    for i in range(n):
+        if sleep.still[i] < np.inf:
+            sleep.force[i, 0], sleep.force[i, 1] = drive.force[i, 0], drive.force[i, 1]
+            sleep.torque[i] = drive.torque[i]
 
 
 @njit(cache=True)

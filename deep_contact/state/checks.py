@@ -34,19 +34,22 @@ def make_bodies(
 ) -> Bodies:
     """Circles from their centres; everything else is one value for all, or one for each.
 
-    position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. density: kg/m², used where `mass` (kg) is None.
-    fixed: True for circles that nothing stops or turns: they get an infinite mass (`Bodies`).
+    position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. angle: rad, and spin: rad/s, both counter-clockwise.
+    density: kg/m², used where `mass` (kg) is None. fixed: True for circles that nothing stops or turns: their mass is
+    infinite (`Bodies`), whatever `mass` and `density` are.
     Raises ValueError naming the field, the body and the value.
     """
     places = real_numbers(position)
-    if places is None:
+    if places is None or np.atleast_2d(places).shape[1:] != (2,):
         raise ValueError(f"position: expected numbers of shape (n, 2), x and y, got {brief(position)}")
     position = np.atleast_2d(places)
     n = position.shape[0]
     radius = _for_each("radius", radius, (n,))
     refuse_where(radius <= 0, "bodies.radius", radius, "a number > 0")  # before a mass is made from it
     if mass is None:
-        mass = _for_each("density", density, (n,)) * np.pi * radius**2
+        density = _for_each("density", density, (n,))
+        refuse_where(~(density > 0), "density", density, "a number > 0")
+        mass = density * np.pi * radius**2
     velocity = _for_each("velocity", velocity, (n, 2))
     angle, spin, mass = (_for_each(*one, (n,)) for one in (("angle", angle), ("spin", spin), ("mass", mass)))
     flags = np.asarray(fixed)
@@ -84,6 +87,8 @@ def check_bodies(bodies: Bodies) -> Bodies:
 
     Raises ValueError naming the field, the body and the value.
     """
+    is_known = isinstance(bodies, Bodies)
+    expect(is_known, f"bodies: expected Bodies, as dc.make_bodies makes them, got {brief(bodies)}")
     n = _length("bodies.mass", bodies.mass)
     # The radius first: where a mass was made from it, the radius is at fault.
     names = sorted(Bodies._fields, key=lambda name: name != "radius")

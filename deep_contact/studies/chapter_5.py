@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact.cnn.backend import one_thread
+from deep_contact.cnn.inference import FarFieldModel, LearnedModel, load_model
 from deep_contact.cnn.model_file import read_metadata
 from deep_contact.cnn.registry import network_file
 from deep_contact.physics.contact_solver import projected
@@ -45,6 +46,15 @@ def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
 def card_of(path) -> dict:
     """What a model file says of its training."""
     return read_metadata(network_file(path))["card"]
+
+
+def image_network(path) -> LearnedModel:
+    """The network on images of a model file. Raises ValueError where the file has a far-field network."""
+    model = load_model(path)
+    if isinstance(model, FarFieldModel):
+        expected = f"a network on images, such as {NETWORKS['cnn thesis']}"
+        raise ValueError(f"model: expected {expected}, got {path}, a far-field network")
+    return model
 
 
 # ---- layers: Figure 5.8, Tables 5.1 and 5.2 ----

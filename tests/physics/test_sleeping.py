@@ -68,6 +68,37 @@ def test_nothing_falls_asleep_in_flight():
     np.testing.assert_allclose(run.state.bodies.position[0, 1], 1.01, atol=0.01)
 
 
+def test_a_push_wakes_the_whole_island_when_it_comes_and_when_it_goes():
+    # Two circles on top of each other and one beside them sleep. From 1 s to 2 s the upper one is lifted, by less than
+    # its weight: the two stay where they are, and are solved for half a second after each change.
+    scene = circles_at([[10.0, 1.01], [10.0, 3.01], [20.0, 1.01]])
+    lift = np.array([[0.0, 0.0], [0.0, 4.0 * np.pi], [0.0, 0.0]])
+    options = {"sleep": True, "push": lambda state: lift * (99.5 < state.step < 199.5)}
+    contacts = dc.simulate(scene, steps=260, solver=RESTING, **options).contacts
+    for change in (100, 200):
+        assert contacts[change - 1] == contacts[change + 55] == 0
+        np.testing.assert_array_equal(contacts[change : change + 50], 2)
+
+
+@pytest.mark.parametrize("push", [([[0.0, 50.0]], [0.0]), ([[0.0, 0.0]], [5.0])])
+def test_a_force_or_a_torque_wakes_as_it_moves_who_is_awake(push):
+    runs = []
+    for sleep in (False, True):
+        scene = circles_at([[15.0, 1.01]], friction=0.5)
+        options = {"push": lambda state: tuple(map(np.array, push if state.time > 1.0 else ([[0.0, 0.0]], [0.0])))}
+        runs.append(dc.simulate(scene, steps=200, solver=RESTING, sleep=sleep, **options).state.bodies)
+    assert abs(runs[1].velocity).max() > 0.5
+    np.testing.assert_allclose(runs[1].velocity, runs[0].velocity, atol=1e-6)
+
+
+def test_who_sleeps_under_a_push_that_stays_sleeps_on():
+    # A drag of what is still is 0, to rounding: it wakes nobody.
+    scene, weight = dc.column(3), np.full((3, 2), [0.0, -5.0])
+    for push in (lambda state: weight, lambda state: -0.1 * state.bodies.velocity):
+        run = dc.simulate(scene, steps=250, solver=RESTING, sleep=True, push=push)
+        assert not run.contacts[-100:].any()
+
+
 def still_after_a_step(scene, still):
     """For how long the only circle of a scene has been still 0.01 s later; infinite if it has fallen asleep."""
     scene = scene.replace(contacts=contacts_of(scene))
