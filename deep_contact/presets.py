@@ -310,9 +310,7 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list
     cost is at most that of all its sweeps, each at the price of one of the study's cheapest, its errors are the best's.
     """
     candidates, parts = [], dict(substeps)
-    low, high = _sizes_around(n)
-    known = _kinds_near(n)
-    kinds = known.intersection(kinds) or known
+    kinds, low, high = _near(n, kinds)
     for setting in installed()["settings"]:
         if setting.get("known", 0.0) > KNOWN:
             continue
@@ -336,31 +334,31 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list
     return [{"solver": stiff, "start": "builtin", "us": us, "errors": best["errors"], "dt": TIME_STEP}]
 
 
-def _sizes_around(n: int) -> tuple[str, str]:
-    """The sizes of the study on either side of n circles."""
-    sizes = installed()["sizes"]
+def _near(n: int, kinds: Sequence[str]) -> tuple[set[str], str, str]:
+    """Those of the kinds that the study has, or else all; and the sizes on either side of n at which it has them.
+
+    Beyond the sizes of a kind, such as drums, the nearest is on both sides.
+    """
+    sizes_of = installed()["kinds"]
+    wanted = sizes_of.keys() & kinds or set(sizes_of)
+    sizes = sorted(set.intersection(*(set(sizes_of[kind]) for kind in wanted)))
     low = max((size for size in sizes if size <= n), default=sizes[0])
-    return str(low), str(min((size for size in sizes if size >= n), default=sizes[-1]))
-
-
-def _kinds_near(n: int) -> set[str]:
-    """The kinds of scenes that the study has at both sizes next to n circles."""
-    settings = installed()["settings"]
-    low, high = ({kind for one in settings for kind in one["errors"].get(size, ())} for size in _sizes_around(n))
-    return low & high
+    return wanted, str(low), str(min((size for size in sizes if size >= n), default=sizes[-1]))
 
 
 def kinds_of(numbers: SceneNumbers) -> list[str]:
     """The kinds of scenes of the study (`studies.runs.KINDS`) that a scene is like, or lies between.
 
-    A drum, a dam and two densities ask for more than a pile does, and have settings that no pile was run with: they
+    Segments, a dam and two densities ask for more than a pile does, and have settings that no pile was run with: they
     stand for themselves.
     """
     if numbers.gravity == 0.0:
         return ["gas"]
-    kinds = ["drum"] if numbers.is_dragged else []
+    walls = ["drum"] if numbers.is_dragged else ["terrain", "hopper"] if numbers.still else []
+    walls += ["piston"] if numbers.moving else []
+    kinds = [kind for kind in walls if kind in installed()["kinds"]]  # a small study has no walls
     kinds += _of_densities(numbers)
-    if _is_dam(numbers):
+    if "hopper" not in kinds and _is_dam(numbers):
         kinds.append("dam break")
     is_pile = not kinds
     if numbers.friction < FRICTION:
@@ -411,7 +409,8 @@ def outside(numbers: SceneNumbers, stiff: Stiffness | None) -> list[str]:
     """Sentences on what of a scene lies outside the study; none where nothing does."""
     sizes, count, speed = installed()["sizes"], numbers.count, numbers.fastest
     fastest = FASTEST * math.sqrt(numbers.gravity * numbers.radius)
-    missing = ", ".join(sorted(set(kinds_of(numbers)) - _kinds_near(count)))
+    measured = {kind: installed()["kinds"].get(kind, [math.inf]) for kind in kinds_of(numbers)}
+    missing = ", ".join(kind for kind, of in measured.items() if not min(of) / 3 <= count <= 3 * max(of))
     price = "the cost is that of all sweeps, of which a scene at rest needs few, and the errors are those of the"
     sentences = {
         f"{count:,} circles; it has {min(sizes):,} to {max(sizes):,}": not min(sizes) / 3 <= count <= 3 * max(sizes),

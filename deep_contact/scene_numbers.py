@@ -23,6 +23,8 @@ class SceneNumbers(NamedTuple):
     | friction      | μ                                                                             |      |
     | restitution   | e                                                                             |      |
     | is_dragged    | whether a surface of a segment moves                                          |      |
+    | still         | number of segments whose ends stay                                            |      |
+    | moving        | number of segments whose ends move                                            |      |
     | radius        | mean                                                                          | m    |
     | radius_ratio  | largest over smallest radius                                                  |      |
     | lightest      | smallest mass                                                                 | kg   |
@@ -41,6 +43,8 @@ class SceneNumbers(NamedTuple):
     friction: float
     restitution: float
     is_dragged: bool
+    still: int
+    moving: int
     radius: float
     radius_ratio: float
     lightest: float
@@ -65,12 +69,13 @@ def scene_numbers(state: State) -> SceneNumbers:
     gravity = math.hypot(g_x, g_y)
     up = (-g_x / gravity, -g_y / gravity) if gravity > 0.0 else (0.0, 0.0)
     speeds = [abs(speed) for speed in world.surface_speeds]
+    moving = sum(map(any, world.segment_velocities))
     *measured, fastest, squares, height, width = _measured(free.position, free.velocity, free.mass, free.radius, up)
     fastest = max(fastest, *driven, 0.0)
     return SceneNumbers(
-        bodies.count, state.dt, gravity, world.friction, world.restitution, any(speeds), mean(bodies.radius), *measured,
-        max(fastest, *speeds, 0.0) if world.friction > 0 else fastest, squares, height, width,
-        high - low if abs(g_x) > abs(g_y) else right - left,
+        bodies.count, state.dt, gravity, world.friction, world.restitution, any(speeds), len(world.segments) - moving,
+        moving, mean(bodies.radius), *measured, max(fastest, *speeds, 0.0) if world.friction > 0 else fastest,
+        squares, height, width, high - low if abs(g_x) > abs(g_y) else right - left,
     )  # fmt: skip
 
 

@@ -2,8 +2,8 @@
 
 A list of scenes and settings, which `studies.runs` runs, times and judges. Every finished part is stored in the work
 folder, so an interrupted study of one commit goes on where it stopped. Several processes compute errors; then one
-measures times: `--set timed=false` leaves these out, for a machine that is not quiet. `--set add=true` takes over the
-errors that data/reference has, and measures what it lacks, and all times. `--install` alone judges the stored settings
+measures times: `--set timed=false` leaves these out, for a machine that is not quiet. `--set add=<results file>` takes
+over the errors that a file has, and measures what it lacks, and all times. `--install` alone judges the stored settings
 by known answers and makes their numbers those that `dc.simulate` and `dc.recommend` read. Figures 6.1 and 6.2
 draw them.
 """
@@ -16,7 +16,8 @@ from pathlib import Path
 
 from deep_contact import run_errors
 from deep_contact.constants import TIME_STEP
-from deep_contact.presets import TABLE
+from deep_contact.io import shipped
+from deep_contact.presets import PRESETS, TABLE, excess
 from deep_contact.reporting import Claim, Figure, figures, results
 from deep_contact.studies import runs
 from deep_contact.studies.known import error as known_error
@@ -44,56 +45,43 @@ NEAR = {"approach": 0.015}
 HALF, QUARTER = (2, 16, 0.25), (4, 32, 0.25)
 
 SMALL = [
-    *settings({1: (4,), 2: (3,), 4: (2,), (1, 4, 1.0): (4,), (1, 8, 0.5): (4,), (1, 8, 0.25): (6,)}, **PGS),
-    *settings({HALF: (3, 4), (4, 16, 0.25): (2, 4), QUARTER: (4,)}, **PGS),
-    *settings({1: (4,), 2: (3,)}, **PGS, **FEW),
-    *settings({1: (3,), (1, 8, 0.5): (3, 4), HALF: (3,), QUARTER: (2,)}, **PSOR),
-    *settings({1: (4, 6), HALF: (3,)}, **PSOR, **FEW),
-    *settings({(1, 16, 0.25): (6,)}, method="PSOR", omega=1.5, approach=0.02),
-    *settings({(1, 8, 1.0): (6,), (1, 8, 0.5): (6,), (1, 8, 0.25): (6, 10), HALF: (10,), QUARTER: (3, 5)}, **COLOURS),
-    *settings({(1, 16, 0.25): (10,)}, **COLOURS, **NEAR),
+    *settings({1: (4,), 2: (3,), 4: (2,), (1, 4, 1.0): (4,), (1, 8, 0.25): (6,)}, **PGS),
+    *settings({HALF: (3, 4), (4, 16, 0.25): (2,), QUARTER: (4,)}, **PGS),
+    *settings({1: (4,), 2: (3,), 4: (2,)}, **PGS, **FEW),
+    *settings({(1, 8, 0.5): (4,)}, **PSOR),
+    *settings({1: (4,)}, **PSOR, **FEW),
+    *settings({(1, 8, 0.25): (6,), QUARTER: (3, 5)}, **COLOURS),
     *settings({1: (6,), HALF: (3, 5), QUARTER: (5,)}, **COLOURS, **FEW),
 ]
-"""Settings on every kind of scene that a preset takes: fixed steps for the loose ones, by motion for the tight ones."""
+"""Settings of most kinds of scenes: fixed steps for the loose presets, by motion for the tight ones."""
 
-MEDIUM = [
+LARGE = [
     *settings({QUARTER: (4,)}, **PGS),
-    *settings({HALF: (3,)}, **PSOR),
-    *settings({(1, 8, 1.0): (6,), (1, 8, 0.25): (10,), QUARTER: (3, 5)}, **COLOURS),
+    *settings({2: (10,), 4: (5,), QUARTER: (3, 5, 10, 20)}, **COLOURS),
     *settings({(1, 16, 0.25): (10, 20)}, **COLOURS, **NEAR),
     *settings({1: (6, 10), 2: (5, 10), 4: (3, 5), (1, 8, 0.5): (6, 10)}, **COLOURS, **FEW),
-    *settings({HALF: (5, 10), QUARTER: (5,)}, **COLOURS, **FEW),
+    *settings({HALF: (5, 10), QUARTER: (5, 10)}, **COLOURS, **FEW),
 ]
-LARGE = [
-    *settings({2: (10,), 4: (5,), (1, 8, 0.5): (20,), QUARTER: (5, 10, 20)}, **COLOURS),
-    *settings({(1, 16, 0.25): (20,)}, **COLOURS, **NEAR),
-    *settings({2: (10,), 4: (3,), (1, 8, 0.5): (6, 10), HALF: (5, 10), QUARTER: (5, 10)}, **COLOURS, **FEW),
-]
+"""The same from 3,000 circles on."""
 
 DENSE = [
-    *settings({1: (10, 20), 2: (10, 20), 4: (10, 20), (1, 8, 0.5): (10, 20)}, **COLOURS, **FEW),
-    *settings({HALF: (10, 20, 40), QUARTER: (5, 10, 20, 40)}, **COLOURS, **FEW),
-    *settings({HALF: (20, 40), QUARTER: (20, 40), (8, 32, 0.25): (10,)}, **COLOURS, **NEAR),
+    *SMALL,
+    *settings({1: (10,), 4: (5,)}, **PGS, **FEW),
+    *settings({(1, 8, 0.25): (10,), HALF: (10,), QUARTER: (20,)}, method="PSOR", omega=1.5),
+    *settings({(1, 16, 0.25): (6,)}, method="PSOR", omega=1.5, approach=0.02),
+    *settings({(1, 8, 0.25): (10,), HALF: (10,)}, **COLOURS),
+    *settings({1: (10, 20), 2: (5, 10, 20), 4: (10,), (1, 8, 0.5): (10,)}, **COLOURS, **FEW),
+    *settings({HALF: (10, 20, 40), QUARTER: (10, 20, 40)}, **COLOURS, **FEW),
+    *settings({HALF: (20,), QUARTER: (20, 40), (8, 32, 0.25): (10,)}, **COLOURS, **NEAR),
 ]
-"""For circles of two densities, and a dam that breaks, at every size: more sweeps in more substeps."""
+"""For `runs.DENSE_KINDS`: more sweeps in more substeps."""
 
 DENSE_LARGE = [
-    *settings({1: (20,), 2: (10, 20), 4: (10, 20), (1, 8, 0.5): (20,)}, **COLOURS, **FEW),
-    *settings({HALF: (20,), QUARTER: (10, 20, 40), (8, 32, 0.25): (20,)}, **COLOURS, **FEW),
-    *settings({QUARTER: (20, 40)}, **COLOURS, **NEAR),
+    *settings({1: (10, 20), 2: (10, 20), 4: (10, 20), 8: (10, 20, 40)}, **COLOURS, **FEW),
+    *settings({HALF: (10, 20), QUARTER: (5, 10, 20, 40), (8, 32, 0.25): (20,)}, **COLOURS, **FEW),
+    *settings({HALF: (20,), QUARTER: (20, 40), (8, 32, 0.25): (10, 40)}, **COLOURS, **NEAR),
 ]
-"""Those of them that keep a preset of 3,000 circles at the least cost."""
-
-DENSE_SMALL = [
-    *SMALL,
-    *DENSE,
-    *settings({2: (5,)}, **COLOURS, **FEW),
-    *settings({(1, 16, 0.25): (20,)}, **COLOURS, **NEAR),
-    *settings({1: (6, 10), 2: (4, 10, 20), 4: (5, 10, 20)}, **PGS, **FEW),
-    *settings({(1, 8, 0.25): (10,), HALF: (5, 10), QUARTER: (20,)}, method="PSOR", omega=1.5),
-    *settings({HALF: (10,)}, method="NNCG"),
-]
-"""The same, and what costs less in small piles."""
+"""The same from 3,000 circles on."""
 
 LADDER = [
     *settings({1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}, **PGS),
@@ -104,9 +92,7 @@ LADDER = [
 ]
 """Settings on plain piles alone: what sweeps, steps and methods do to an error (Figures 6.1 and 6.2)."""
 
-LARGE_LADDER = settings(
-    {1: (4, 6, 10, 20, 50), 2: (2, 3, 5, 10), 4: (1, 2, 3, 5, 10), 8: (1, 2, 4, 20), 32: (20,)}, **PGS
-)
+LARGE_LADDER = settings({1: (4, 10, 20), 2: (2, 5, 10), 4: (2, 3, 5, 10), 8: (2, 4)}, **PGS)
 PYMUNK, BOX2D, BOX2D_V3 = {"engine": "pymunk"}, {"engine": "Box2D 2.3"}, {"engine": "Box2D v3"}
 BY_SLOP = {1: (4, 6, 10, 20, 30), 2: (2, 3, 4, 6, 10), 4: (1, 2, 3, 4), 8: (1, 2)}
 BY_POSITIONS = {1: (4, 10, 20, 30), 2: (2, 4, 6, 10), 4: (1, 2, 4), 8: (1, 2)}
@@ -141,27 +127,24 @@ MORE = {
     "no friction": {"100": settings({4: (3,), 8: (2,)}, **PGS), "1000": settings({4: (3,), 8: (2, 3)}, **PGS)}
     | {"3000": settings({4: (10,), 8: (3, 5)}, **COLOURS, **FEW)},
     "drum": {n: settings({2: (4,), 4: (2,)}, **PGS, **FEW) for n in ("100", "1000", "3000")},
-    "heavy on light 1 : 10": {"10000": settings({4: (30, 40), 8: (10,)}, **COLOURS, **FEW)},
-    "heavy on light 1 : 100": {
-        "3000": [
-            *settings({(8, 32, 0.25): (20, 40)}, **COLOURS, **NEAR),
-            *settings({8: (20, 40)}, **COLOURS, **FEW),
-        ]
-    }
-    | {"10000": settings({8: (20, 40), 16: (20, 40), 32: (20,)}, **COLOURS, **FEW)},
+    "heavy on light 1 : 10": {"10000": settings({4: (30,)}, **COLOURS, **FEW)},
+    "heavy on light 1 : 100": {"10000": settings({16: (20,), 32: (20,)}, **COLOURS, **FEW)},
 }
 """What a kind needs beside, by size: without these no setting kept one of its presets, or at a high price only."""
 
-DEAR = ("drum", "light on heavy 1 : 10")
-"""Kinds that are not run with 10,000 circles: the drum's segments make it ten times as dear."""
-
 LISTS = {
-    "settings": {"100": SMALL, "300": MEDIUM, "1000": SMALL, "3000": MEDIUM, "10000": LARGE},
-    "dense": {"100": DENSE_SMALL, "1000": DENSE_SMALL, "3000": DENSE, "10000": DENSE_LARGE},
+    "settings": {"100": SMALL, "300": SMALL, "1000": SMALL, "3000": LARGE, "10000": LARGE},
+    "dense": {"100": DENSE, "1000": DENSE, "3000": DENSE_LARGE, "10000": DENSE_LARGE},
+    "walled": {"100": DENSE, "1000": DENSE, "3000": [*LARGE, *DENSE_LARGE]},
     "ladder": {"100": LADDER, "300": LARGE_LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGE_LADDER},
     "peers": {"100": PEERS, "300": [], "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGE_PEERS},
 }
-"""Settings by number of circles: of most kinds, of `DENSE_KINDS`, and two lists of plain piles alone."""
+"""Settings by number of circles: of most kinds, of `DENSE_KINDS`, of `WALLED_KINDS`, and two of plain piles alone."""
+
+
+def list_of(kind: str) -> str:
+    """The name in `LISTS` of the settings of a kind."""
+    return "dense" if kind in runs.DENSE_KINDS else "walled" if kind in runs.WALLED_KINDS else "settings"
 
 
 def wanted(options: Mapping) -> dict[tuple[str, int, str], tuple[dict, int]]:
@@ -169,7 +152,7 @@ def wanted(options: Mapping) -> dict[tuple[str, int, str], tuple[dict, int]]:
     cases_by_name = {}
     for n, kinds in options["seeds"].items():
         for kind, count in kinds.items():
-            ours = LISTS["dense" if kind in runs.DENSE_KINDS else "settings"][n]
+            ours = LISTS[list_of(kind)][n]
             lists = [([runs.REFERENCE, *ours, *MORE.get(kind, {}).get(n, [])], count)]
             if kind == "plain":
                 lists += [(LISTS["ladder"][n], options["ladder_seeds"][n])]
@@ -194,18 +177,28 @@ def known(options: Mapping, seed: int, before: Mapping) -> dict[tuple[str, int, 
 
 def compute(options, seed, jobs, progress):
     """Rows of all scenes and settings, and what each preset takes of them."""
-    before, rows = results.reference("run_tradeoff") if options["add"] else None, {}
+    before, rows = results.read_results(shipped.find(options["add"])) if options["add"] else None, {}
     if before is not None:
         rows = known(options, seed, before)
     missing = {key: case for key, case in wanted(options).items() if key not in rows}
     common = {"work": Path(options["work"]), "seconds": options["seconds"], "seed": seed}
     rows |= runs.observed_rows(runs.scene, missing, **common, jobs=jobs)
-    # Of plain piles the smallest steps are there for Figure 6.2 alone.
-    times = {key: options["processes"] if key[0] == "plain" else 1 for key, row in rows.items() if options["timed"]
-             and row["errors"] and (key[0] != "plain" or row["setting"]["dt"] >= TIME_STEP / 8)}  # fmt: skip
+    times = {key: times_of(row, options["processes"]) for key, row in rows.items() if options["timed"]}
     rows = runs.timed_rows(runs.scene, rows, times, **common)
     origin = [*before["data"].get("errors_from", []), before["provenance"]["commit"]] if before else []
     return judged(rows) | {"errors_from": origin}
+
+
+def times_of(row: Mapping, processes: int) -> int:
+    """How often the time of a row is measured: in several processes where ratios to rivals may rest on it."""
+    if not row["errors"]:
+        return 0
+    if row["kind"] != "plain":
+        return 1
+    if row["setting"]["dt"] < TIME_STEP / 8:
+        return 0  # the smallest steps are there for Figure 6.2 alone
+    least = {name: error[1] for name, error in row["errors"].items() if error}
+    return processes if any(excess(least, most) <= 1 for most in PRESETS.values()) else 1
 
 
 def judged(rows: list[dict]) -> dict:
@@ -238,7 +231,10 @@ def installed(data: Mapping, cpu: str) -> dict:
         entry["us"].setdefault(n, {})[row["kind"]] = round(row["us"], 2)
         errors = {key: runs.rounded(value[0]) for key, value in row["errors"].items() if value}
         entry["errors"].setdefault(n, {})[row["kind"]] = errors
-    return {"cpu": cpu, "sizes": runs.sizes_of(data["rows"]), "settings": list(settings.values())}
+    kinds: dict[str, list] = {}
+    for n, kind in sorted({(row["n_bodies"], row["kind"]) for row in data["rows"]}):
+        kinds.setdefault(kind, []).append(n)
+    return {"cpu": cpu, "sizes": runs.sizes_of(data["rows"]), "kinds": kinds, "settings": list(settings.values())}
 
 
 def claims(data: Mapping) -> Iterator[Claim]:
@@ -255,13 +251,22 @@ def claims(data: Mapping) -> Iterator[Claim]:
             yield Claim(text, None, ahead, ratios)
 
 
+MANY = ("plain",)
+"""Kinds with more seeds than others."""
+
+FEWER = (*runs.DENSE_KINDS, *runs.WALLED_KINDS)
+"""Kinds with fewer."""
+
+DEAR = ("drum", "light on heavy 1 : 10", *runs.WALLED_KINDS)
+"""Kinds that are not run with 10,000 circles."""
+
 FULL = {
-    "seeds": {n: dict.fromkeys(runs.KINDS, 12 if n == "100" else 6) for n in ("100", "1000")}
-    | {"3000": {kind: 4 if kind in runs.DENSE_KINDS else 6 for kind in runs.KINDS}}
-    | {"10000": {kind: 3 if kind in runs.DENSE_KINDS else 6 for kind in runs.KINDS if kind not in DEAR}},
-    "peer_seeds": {"100": 12, "1000": 6, "3000": 6, "10000": 6},
-    "ladder_seeds": {"100": 12, "1000": 6, "3000": 3, "10000": 3},
-    "peers": 1, "seconds": 6.0, "processes": 3, "timed": True, "add": False, "work": "runs/run_tradeoff",
+    "seeds": {"100": {kind: 12 if kind in MANY else 8 for kind in runs.KINDS}, "1000": dict.fromkeys(runs.KINDS, 6)}
+    | {"3000": {kind: 4 if kind in FEWER else 6 for kind in runs.KINDS}}
+    | {"10000": {kind: 6 if kind in MANY else 3 for kind in runs.KINDS if kind not in DEAR}},
+    "peer_seeds": {"100": 12, "1000": 6, "3000": 6, "10000": 4},
+    "ladder_seeds": {"100": 12, "1000": 6, "3000": 6, "10000": 6},
+    "peers": 1, "seconds": runs.SECONDS, "processes": 3, "timed": True, "add": "", "work": "runs/run_tradeoff",
 }  # fmt: skip
 QUICK = {
     "seeds": {"100": {"plain": 4}, "300": {"plain": 3}}, "peer_seeds": {"100": 4, "300": 3},

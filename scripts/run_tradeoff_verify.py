@@ -51,8 +51,9 @@ KINDS = {
     "slow drum": {"make": drum, "froude": 0.05, "sides": 40},
     "heavy drum": {"make": heavy_drum},
     "belt": {"make": belt},
-    "hopper": {"make": hopper},
-    "terrain": {"make": terrain},
+    "hopper": {"make": hopper, "opening": 12.0, "steepness": 45.0},
+    "terrain": {"make": terrain, "bumps": 60},
+    "piston": {"make": runs.piston, "speed": 2.0},
     "low dam": {"make": runs.dam_break, "aspect": 1.0, "room": 3.0, "radius": (0.8, 1.0)},
     "densities 1 : 5": {"make": runs.two_densities, "ratio": 5.0},
     "densities 1 : 30": {"make": runs.two_densities, "ratio": 30.0},
@@ -156,13 +157,13 @@ def table(data):
 MEDIUM = [kind for kind in KINDS if kind != "silo"]
 """Higher silos are solved to a tolerance, which takes hours."""
 
-LARGE = ["plain", "narrow radii", "hopper", "terrain", "low dam", "densities 1 : 5", "heavy on light 1 : 5"]
+LARGE = ["plain", "narrow radii", "hopper", "terrain", "piston", "low dam", "densities 1 : 5", "heavy on light 1 : 5"]
 OPTIONS = {
     "scenes": {"100": [*KINDS], "300": MEDIUM, "1000": MEDIUM, "3000": LARGE}
     | {"10000": ["plain", "hopper", "low dam", "densities 1 : 5"]},
     "seeds": {"100": 20, "300": 10, "1000": 6, "3000": 4, "10000": 3}, "seconds": 6.0,
     "timed": {"100": ["plain"], "1000": MEDIUM, "10000": ["plain"]},
-    "trades": {"100": ["silo", "heavy drum", "belt", "hopper", "terrain", "low dam", "thin gas", "wide radii"]},
+    "trades": {"100": ["silo", "heavy drum", "belt", "hopper", "terrain", "piston", "low dam", "wide radii"]},
     "trade_seeds": 6, "work": "runs/run_tradeoff_verify",
 }  # fmt: skip
 QUICK = {"scenes": {"100": ["plain", "belt"]}, "seeds": {"100": 3}, "seconds": 2.0, "timed": {"100": ["plain"]},

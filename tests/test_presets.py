@@ -33,6 +33,7 @@ def entry(name, dt, us, share, **options):
 TABLE = {
     "cpu": "a processor",
     "sizes": [100, 1000],
+    "kinds": {"plain": [100, 1000]},
     "settings": [
         entry("few", 0.01, 10.0, 0.95, method="PGS", sweeps=2, tolerance=None),
         entry("enough", 0.01, 20.0, 0.8, method="PGS", sweeps=9, tolerance=None),
@@ -292,7 +293,9 @@ def test_a_preset_is_chosen_by_errors_and_times_of_the_kinds_that_a_scene_is_lik
             errors["mixed radii"] = {name: times_worse * value for name, value in errors["plain"].items()}
             setting["us"][size]["mixed radii"] = 3 * setting["us"][size]["plain"]
     settings = [cheap, dear, on_plain]
-    monkeypatch.setattr(presets, "installed", lambda: {"cpu": "", "sizes": [100, 1000], "settings": settings})
+    kinds = {"plain": [100, 1000], "mixed radii": [100, 1000]}
+    table = {"cpu": "", "sizes": [100, 1000], "kinds": kinds, "settings": settings}
+    monkeypatch.setattr(presets, "installed", lambda: table)
     assert dc.recommend(plain).solver.sweeps == 30
     found = dc.recommend(mixed)
     assert (found.solver.sweeps, found.us, found.reached) == (20, 60.0, True)

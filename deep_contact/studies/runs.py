@@ -9,6 +9,7 @@ Time steps are those of circles of r = 1 m under g = 9.81 m/s²: what counts is 
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import math
@@ -27,7 +28,7 @@ from deep_contact import parallel, peers, trade
 from deep_contact.constants import GRAVITY, TIME_STEP
 from deep_contact.io import shipped
 from deep_contact.io.provenance import commit
-from deep_contact.physics.scenes import drum, lattice_in_box
+from deep_contact.physics.scenes import drum, hopper, lattice_in_box, terrain
 from deep_contact.presets import FASTEST, KNOWN, PRESETS, keeping
 from deep_contact.reporting import results
 from deep_contact.run_errors import observation, observe
@@ -41,6 +42,9 @@ RESULTS = {"results": "data/reference/run_tradeoff.json"}
 
 INTERVAL = 5 * TIME_STEP
 """Between two observations, s."""
+
+SECONDS = 6.0
+"""Of a run of the study."""
 
 
 def gas(n_bodies: int, *, gap: float = 1.0, restitution: float = 0.8, seed: int = 0) -> State:
@@ -80,6 +84,18 @@ def dam_break(n_bodies: int, *, aspect: float = 2.0, room: float = 4.0, seed: in
     return lattice.replace(name=f"dam_{n_bodies}", world=replace(lattice.world, box=(0, 0, room * width, height)))
 
 
+def piston(n_bodies: int, *, speed: float = 1.0, seed: int = 0, **options) -> State:
+    """A loose lattice that falls beside a wall, which pushes what lies there along the floor at `speed`, m/s.
+
+    options: those of `lattice_in_box`.
+    """
+    lattice = lattice_in_box(n_bodies, seed=seed, **options)
+    _, _, width, height = lattice.world.box
+    wall = {"segments": ((0, 0, 0, height),), "segment_velocities": ((speed, 0, speed, 0),)}
+    world = replace(lattice.world, box=(0, 0, width + 1.5 * speed * SECONDS, height), **wall)
+    return lattice.replace(name=f"piston_{n_bodies}", world=world)
+
+
 KINDS = {
     "plain": {},
     "mixed radii": {"radius": (0.5, 1.5)},
@@ -95,11 +111,17 @@ KINDS = {
     "densities 1 : 100": {"make": two_densities, "ratio": 100.0},
     "heavy on light 1 : 100": {"make": two_densities, "ratio": 100.0, "heavy": "above"},
     "dam break": {"make": dam_break},
+    "terrain": {"make": terrain},
+    "hopper": {"make": hopper},
+    "piston": {"make": piston},
 }
 """Kind of scene -> options of `piles.scene`, or of the scene that is named."""
 
 DENSE_KINDS = [kind for kind in KINDS if "1 : " in kind or kind == "dam break"]
 """Kinds that need more sweeps: two densities, and a dam that breaks."""
+
+WALLED_KINDS = ["terrain", "hopper", "piston"]
+"""Kinds with segments, still ones and one that moves."""
 
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
 """Taken for the limit of small steps; Figure 6.2 shows that the steps before it come to the same within the noise."""
@@ -117,14 +139,20 @@ Key = tuple[str, int, str]
 """Kind of scene, number of circles, name of the setting."""
 
 
+@functools.lru_cache(256)
+def made(make: Callable, kind: str, n_bodies: int, seed: int) -> State:
+    """A scene, made once for all its settings: drawing the thesis's pile takes longer than most runs of it."""
+    return make(kind, n_bodies, seed)
+
+
 def observed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_):
     """What is looked at of one run of a scene with a setting."""
-    return observe(states_of(make(kind, n_bodies, seed), setting, round(seconds / INTERVAL), INTERVAL))
+    return observe(states_of(made(make, kind, n_bodies, seed), setting, round(seconds / INTERVAL), INTERVAL))
 
 
 def timed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_) -> float:
     """Mean time of the scene's Δt in a run with a setting, μs."""
-    start = make(kind, n_bodies, seed)
+    start = made(make, kind, n_bodies, seed)
     return 1e6 * trade.timed(start, setting, seconds) * start.dt / seconds
 
 

@@ -205,8 +205,8 @@ def test_the_script_adds_settings_to_its_results(study, tmp_path, monkeypatch):
     run, _ = study
     settings = [COARSE, COARSE | {"method": "PSOR"}]
     before = {row["name"]: row for row in run(settings)["data"]["rows"]}
-    monkeypatch.setattr(results, "REFERENCE", tmp_path)
-    found = run([*settings, COARSE | {"method": "BatchedPGS"}], work="second", add=True)
+    earlier = str(tmp_path / "run_tradeoff.json")
+    found = run([*settings, COARSE | {"method": "BatchedPGS"}], work="second", add=earlier)
     assert found["data"]["errors_from"] == [found["provenance"]["commit"]]
     after = {row["name"]: row for row in found["data"]["rows"]}
     observed = [path for path in (tmp_path / "second").iterdir() if path.name.startswith("observed")]
@@ -217,7 +217,7 @@ def test_the_script_adds_settings_to_its_results(study, tmp_path, monkeypatch):
         assert row["setting"] == runs.REFERENCE or after[name]["us"] > 0
     assert after["BatchedPGS, 3 sweeps, Δt"]["errors"]["energy"] == pytest.approx((1.0, 1.0, 1.0))
     with pytest.raises(ValueError, match=r"seconds, seed: expected \(1.0, 0\)"):
-        run(settings, add=True, seconds=2.0)
+        run(settings, add=earlier, seconds=2.0)
 
 
 def test_what_presets_and_trades_choose_is_held_against_scenes_outside_the_study(tmp_path, monkeypatch, without_runs):
