@@ -83,6 +83,20 @@ DENSE_LARGE = [
 ]
 """The same from 3,000 circles on."""
 
+LARGEST = [
+    *settings({1: (10,), 2: (5, 10), 4: (5,), (1, 8, 0.5): (10,), HALF: (10,), QUARTER: (5, 10)}, **COLOURS, **FEW),
+    *settings({QUARTER: (10,)}, **COLOURS),
+    *settings({(1, 16, 0.25): (20,)}, **COLOURS, **NEAR),
+]
+"""With 10,000 circles: those of `LARGE` that keep a preset most cheaply with 3,000, or nearly."""
+
+DENSE_LARGEST = [
+    *settings({1: (20,), 2: (10, 20), 4: (10, 20), 8: (20,)}, **COLOURS, **FEW),
+    *settings({HALF: (10, 20), QUARTER: (10, 20)}, **COLOURS, **FEW),
+    *settings({QUARTER: (20,), (8, 32, 0.25): (10, 40)}, **COLOURS, **NEAR),
+]
+"""Those of `DENSE_LARGE`."""
+
 LADDER = [
     *settings({1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}, **PGS),
     *settings({8: (1, 2, 4, 10, 20), 16: (1, 2, 5, 20)}, **PGS),
@@ -121,7 +135,17 @@ LARGE_PEERS = [
     *settings({1: (6, 8), 2: (2, 4), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
     *settings({2: (8,), 4: (4,)}, **BOX2D_V3, hertz=240.0),
 ]
-"""From 3,000 circles on: those of `PEERS` that kept a preset at 1,000 most cheaply, or nearly, and neighbours."""
+"""With 3,000 circles: those of `PEERS` that kept a preset at 1,000 most cheaply, or nearly, and neighbours."""
+
+LARGEST_PEERS = [
+    *settings({1: (4, 6, 10, 20), 2: (4, 6, 10), 4: (2, 4)}, **PYMUNK, slop=0.25),
+    *settings({1: (4, 6, 10), 2: (4,)}, **PYMUNK),
+    *settings({1: (10,)}, **PYMUNK, bias=0.4),
+    *settings({1: (10,)}, **BOX2D, position_sweeps=1),
+    *settings({2: (4,), 4: (4,)}, **BOX2D, position_sweeps=3),
+    *(one for one in LARGE_PEERS if one["engine"] == "Box2D v3"),
+]
+"""With 10,000 circles: of the fastest rival the same, of the others those that were cheapest with 3,000."""
 
 MORE = {
     "no friction": {"100": settings({4: (3,), 8: (2,)}, **PGS), "1000": settings({4: (3,), 8: (2, 3)}, **PGS)}
@@ -133,11 +157,12 @@ MORE = {
 """What a kind needs beside, by size: without these no setting kept one of its presets, or at a high price only."""
 
 LISTS = {
-    "settings": {"100": SMALL, "300": SMALL, "1000": SMALL, "3000": LARGE, "10000": LARGE},
-    "dense": {"100": DENSE, "1000": DENSE, "3000": DENSE_LARGE, "10000": DENSE_LARGE},
+    "settings": {"100": SMALL, "300": SMALL, "1000": SMALL, "3000": LARGE, "10000": LARGEST},
+    "dense": {"100": DENSE, "1000": DENSE, "3000": DENSE_LARGE, "10000": DENSE_LARGEST},
     "walled": {"100": DENSE, "1000": DENSE, "3000": [*LARGE, *DENSE_LARGE]},
-    "ladder": {"100": LADDER, "300": LARGE_LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGE_LADDER},
-    "peers": {"100": PEERS, "300": [], "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGE_PEERS},
+    "ladder": {"100": LADDER, "300": LARGE_LADDER, "1000": LADDER, "3000": LARGE_LADDER}
+    | {"10000": [*LARGE, *LARGE_LADDER]},
+    "peers": {"100": PEERS, "300": [], "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGEST_PEERS},
 }
 """Settings by number of circles: of most kinds, of `DENSE_KINDS`, of `WALLED_KINDS`, and two of plain piles alone."""
 
@@ -257,7 +282,7 @@ MANY = ("plain",)
 FEWER = (*runs.DENSE_KINDS, *runs.WALLED_KINDS)
 """Kinds with fewer."""
 
-DEAR = ("drum", "light on heavy 1 : 10", *runs.WALLED_KINDS)
+DEAR = ("gas", "drum", "light on heavy 1 : 10", *runs.WALLED_KINDS)
 """Kinds that are not run with 10,000 circles."""
 
 FULL = {
