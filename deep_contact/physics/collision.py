@@ -579,6 +579,9 @@ def hold(bodies, before, box, segments, skin, solved, drive, dt):
             hold_beside(bodies, before, segments, drive)
     if drive is not None:
         hold_beside_moving(bodies, before, segments, drive, dt)
+        # What moves on into a wall of the box has no room left: it passes over the circle, which stays in the box.
+        if any_outside(bodies.position, box):
+            hold_inside(bodies, box, skin, solved)
 
 
 @njit(cache=True)

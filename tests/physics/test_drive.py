@@ -245,6 +245,17 @@ def test_what_a_fast_wall_sweeps_stays_in_front_of_it():
     np.testing.assert_allclose(run.state.bodies.velocity[:, 0], 50.0, atol=1e-6)
 
 
+def test_a_wall_that_moves_out_of_the_box_leaves_its_circles_there():
+    # Between the wall and that of the box there is no room left: what it pushed went on with it, without end.
+    scene = circles_at([[2.0, 1.01], [4.0, 1.01]], friction=0.5, **plate((2.0, 0.0), at=(0.5, 2.0), half=3.0))
+    scene = scene.replace(world=replace(scene.world, box=(0.0, 0.0, 10.0, 10.0)))
+    run = dc.simulate(scene, steps=900, solver=PGS, record=20)
+    assert run.state.world.segments[0][0] > 15.0
+    for state in run.trajectory:
+        assert ((state.bodies.position >= 0.0) & (state.bodies.position <= 10.0)).all()
+    assert np.abs(run.state.bodies.velocity).max() < 5.0
+
+
 def driven_scene(seed):
     """A box with circles of masses up to 1e4, a wall and a paddle up to 50 m/s, a roller and a peg; and a push."""
     rng = np.random.default_rng(seed)
