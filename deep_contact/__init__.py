@@ -36,7 +36,15 @@ if TYPE_CHECKING:
     from deep_contact.planning import plan
     from deep_contact.presets import recommend
     from deep_contact.reporting import figures, plotting, results
-    from deep_contact.simulation import Simulator, find_contacts, simulate, simulate_many, solve_contacts, step
+    from deep_contact.simulation import (
+        Simulation,
+        Simulator,
+        find_contacts,
+        simulate,
+        simulate_many,
+        solve_contacts,
+        step,
+    )
     from deep_contact.state import Bodies, Contacts, State, World
     from deep_contact.state.checks import make_bodies
     from deep_contact.state.scales import BOX2D, ContactScales

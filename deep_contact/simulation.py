@@ -101,10 +101,11 @@ class Simulation(NamedTuple):
     def force_on(self, part: str, index: int | Sequence[int] | None = None) -> np.ndarray:
         """The mean force of contacts between each recorded state and the next, (T − 1, 2), N; its times are theirs.
 
-        part: "floor", "right", "ceiling", "left", "segment" or "circle". index: of the segment or the circle; the force
-        on several is their sum. The mean is over all steps and substeps, rebounds included. Of a circle it is what
-        changed its momentum, but for gravity and pushes (with e > 0, to half a step's fall of a circle that lands where
-        motion divides the step); walls and segments need a run with forces=True.
+        part: "floor", "right", "ceiling", "left", "segment", "circle", or "wall": the four sides, numbered in this
+        order. index: of the segment, the circle or the wall; the force on several is their sum. The mean is over all
+        steps and substeps, rebounds included. Of a circle it is what changed its momentum, but for gravity and pushes
+        (with e > 0, to half a step's fall of a circle that lands where motion divides the step); walls and segments
+        need a run with forces=True.
         Raises ValueError where nothing was recorded, or what there is not.
         """
         recorded, world = self.trajectory, self.state.world

@@ -447,10 +447,10 @@ def measure_trade(
 ) -> Trade:
     """Measure what each setting costs on a scene, and what it gets wrong.
 
-    scene: a state, or a function of a seed that makes one. Of a state each seed makes a copy, shifted by up to `SHIFT`
-    slops. steps: of the scene's Δt, in each run. seeds: how many, or which.
+    scene: a state, or a function of a seed that makes one. Of a state each seed makes a copy, shifted by up to
+    0.001 slops. steps: of the scene's Δt, in each run, at least 20. seeds: how many, or which.
     minutes: after so many no further run begins, and what is known by then is returned. Compiling does not count.
-    quantities: name -> a function of a state that returns a number or an array; it is called `FRAMES` times a run.
+    quantities: name -> a function of a state that returns a number or an array; it is called 120 times a run.
     settings: solvers to measure beside the presets; by default a short ladder around these.
     engines: whether Box2D and pymunk run too, where they have the scene. jobs: as in `parallel.finished`.
     before: an earlier result, whose runs are not done again.

@@ -68,6 +68,6 @@ def draw(data, options):
 
 # The data set's seeds are SeedSequence(0, spawn_key=(i,)); these scenes come from other random numbers.
 OPTIONS = starts.THESIS_SETTINGS | {"n_bodies": [51, 99], "spacing": starts.SPACING, "networks": chapter_5.NETWORKS}
-QUICK = {"steps": 250, "sweeps": 1000, "scenes": 1, "networks": {"cnn": chapter_5.NETWORKS["cnn"]}}
+QUICK = {"steps": 250, "sweeps": 1000, "scenes": 1}
 FIGURE = Figure("5.9", TITLE, compute, starts.table_of_starts, draw, claims, options=OPTIONS, quick=QUICK, seed=59)
 figures.run_as_script(FIGURE, __name__)
