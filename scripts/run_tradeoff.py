@@ -156,7 +156,7 @@ MORE = {
     | {"3000": settings({4: (10,), 8: (3, 5)}, **COLOURS, **FEW)},
     "drum": {n: settings({2: (4,), 4: (2,)}, **PGS, **FEW) for n in ("100", "1000", "3000")},
     "heavy on light 1 : 10": {"10000": settings({4: (30,)}, **COLOURS, **FEW)},
-    "heavy on light 1 : 100": {"10000": settings({16: (20,)}, **COLOURS, **FEW)},
+    "heavy on light 1 : 100": {"10000": settings({8: (40,), 16: (20,), 32: (20,)}, **COLOURS, **FEW)},
 }
 """What a kind needs beside, by size: without these no setting kept one of its presets, or at a high price only."""
 
