@@ -107,7 +107,7 @@ LADDER = [
 
 LARGE_LADDER = settings({1: (4, 10, 20), 2: (2, 5, 10), 4: (2, 3, 5, 10), 8: (2, 4)}, **PGS)
 LARGEST_LADDER = [
-    *settings({1: (10,), 2: (5,), 4: (3,), 8: (2,)}, **PGS),
+    *settings({1: (10, 20), 2: (5,), 4: (3,), 8: (2,)}, **PGS),
     *settings({1: (10,)}, **COLOURS, **FEW),
     *settings({2: (10,), 4: (5,)}, **COLOURS),
 ]
