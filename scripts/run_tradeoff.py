@@ -105,9 +105,9 @@ LADDER = [
 ]
 """Settings on plain piles alone: what sweeps, steps and methods do to an error (Figures 6.1 and 6.2)."""
 
-LARGE_LADDER = settings({1: (4, 10, 20), 2: (2, 5, 10), 4: (2, 3, 5, 10), 8: (2, 4)}, **PGS)
+LARGE_LADDER = settings({1: (4, 10, 20), 2: (2, 5, 10, 20), 4: (2, 3, 5, 10), 8: (2, 4, 20), 32: (20,)}, **PGS)
 LARGEST_LADDER = [
-    *settings({1: (10, 20), 2: (5,), 4: (3,), 8: (2,)}, **PGS),
+    *settings({1: (10, 20), 2: (5,), 4: (3,), 8: (2, 20)}, **PGS),
     *settings({1: (10,)}, **COLOURS, **FEW),
     *settings({2: (10,), 4: (5,)}, **COLOURS),
 ]
