@@ -279,7 +279,7 @@ def claims(data: Mapping) -> Iterator[Claim]:
             yield Claim(text, None, ahead, ratios)
 
 
-MANY = ("plain",)
+MANY = ("plain", "piston")
 """Kinds with more seeds than others."""
 
 FEWER = (*runs.DENSE_KINDS, *runs.WALLED_KINDS)

@@ -87,12 +87,13 @@ def dam_break(n_bodies: int, *, aspect: float = 2.0, room: float = 4.0, seed: in
 def piston(n_bodies: int, *, speed: float = 1.0, seed: int = 0, **options) -> State:
     """A loose lattice that falls beside a wall, which pushes what lies there along the floor at `speed`, m/s.
 
-    options: those of `lattice_in_box`.
+    The box is so wide that the pile does not reach its other side: between two walls a row of circles is a rod, which
+    bursts when it is full. options: those of `lattice_in_box`.
     """
     lattice = lattice_in_box(n_bodies, seed=seed, **options)
     _, _, width, height = lattice.world.box
     wall = {"segments": ((0, 0, 0, height),), "segment_velocities": ((speed, 0, speed, 0),)}
-    world = replace(lattice.world, box=(0, 0, width + 1.5 * speed * SECONDS, height), **wall)
+    world = replace(lattice.world, box=(0, 0, 3.0 * width + 1.5 * speed * SECONDS, height), **wall)
     return lattice.replace(name=f"piston_{n_bodies}", world=world)
 
 
