@@ -358,7 +358,7 @@ def kinds_of(numbers: SceneNumbers) -> list[str]:
     walls += ["piston"] if numbers.moving else []
     kinds = [kind for kind in walls if kind in installed()["kinds"]]  # a small study has no walls
     kinds += _of_densities(numbers)
-    if "hopper" not in kinds and _is_dam(numbers):
+    if not {"hopper", "piston"} & set(kinds) and _is_dam(numbers):  # what stands in these flows as well
         kinds.append("dam break")
     is_pile = not kinds
     if numbers.friction < FRICTION:

@@ -315,7 +315,7 @@ class Trade:
         return next(row for row in mine if row["name"] == best["name"])
 
     def enough(self, name: str, difference: float) -> int:
-        """So many seeds that what they alone make of an error is at most half of a difference."""
+        """The number of seeds with which chance makes at most half of a difference between errors."""
         return math.ceil(self.seeds * (2.0 * self.noise.get(name, 0.0) / difference) ** 2)
 
     def values(self, quantity: str) -> dict[str, np.ndarray]:

@@ -223,6 +223,8 @@ def test_the_study_in_the_package_keeps_fast_for_the_scenes_of_the_thesis():
         ({"restitution": 0.9, "radius": (0.5, 1.0)}, {"mixed radii", "elastic 0.8"}),
         ({"gravity": (0, 0)}, {"gas"}),
         ({"segments": [((0, 0), (9, 0))], "surface_speeds": (1.0,)}, {"drum"}),
+        ({"segments": [((0, 0), (9, 0))]}, {"terrain", "hopper"}),
+        ({"segments": [((0, 0), (9, 0))], "segment_velocities": [((0, 1), (0, 1))]}, {"piston"}),
     ],
 )
 def test_a_scene_is_like_kinds_of_the_study(options, kinds):
@@ -256,6 +258,9 @@ def test_what_a_preset_runs_is_what_the_study_priced(n):
         for kind, priced in row["kinds"].items() if row["n_bodies"] == n else ():
             found = dc.recommend(scene_of(kind), accuracy=row["preset"])
             assert found.reached == (priced is not None), (kind, row["preset"])
+            if kind in ("terrain", "hopper"):  # one cannot be told from the other: a scene takes what keeps both
+                assert priced is None or found.us >= 0.99 * priced["us"], (kind, row["preset"])
+                continue
             assert priced is None or found.us == pytest.approx(priced["us"], rel=0.01), (kind, row["preset"])
 
 
