@@ -129,12 +129,13 @@ def cells_outside() -> int:
 
 
 def costs_outside() -> list[float]:
-    """Least and most cost over the predicted one: of scenes without segments, of drums, of hoppers, of terrain."""
-    found = {"": [], "drum": [], "hopper": [], "terrain": [], "belt": []}
+    """Least and most cost over the predicted one: of scenes without segments, where walls drag, of still walls, of pistons."""
+    places = {"drum": "drag", "belt": "drag", "hopper": "still", "terrain": "still", "piston": "piston"}
+    found = {"": [], "drag": [], "still": [], "piston": []}
     for row in stored("run_tradeoff_verify")["data"]["times"]:
-        place = next((place for place in found if place and place in row["kind"]), "")
+        place = next((place for word, place in places.items() if word in row["kind"]), "")
         found[place].append(row["us"] / row["predicted_us"])
-    return [end for place in ("", "drum", "hopper", "terrain") for end in spread(found[place])]
+    return [end for ratios in found.values() for end in spread(ratios)]
 
 
 def walls() -> tuple:
@@ -455,11 +456,12 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
         (
             "checked on {} kinds and sizes of scenes outside the study, from 100 to 10,000 circles: other seeds, radii, "
-            "friction, heights, densities, time steps and restitutions, hoppers, terrain, a low dam, a thinner gas, a "
-            'slower drum. All tolerances were kept in {} cells by "preview", {} by "fast", {} by "balanced", {} by '
+            "friction, heights, densities, time steps and restitutions, a silo, a low dam, a thinner gas, other drums, "
+            'terrains and hoppers, a belt, a faster pushing wall. All tolerances were kept in {} cells by "preview", {} by "fast", {} by "balanced", {} by '
             '"accurate" and {} by "reference"; if a miss counts only beyond the interval of the seeds, in {}, {}, {}, {} '
             "and {}. Costs were {:.2f} to {:.2f} times the predicted ones where scenes have no segments, {:.2f} to {:.2f} times "
-            "in drums, {:.2f} to {:.2f} times in hoppers and {:.1f} to {:.1f} times on terrain",
+            "in drums and on a belt, {:.2f} to {:.2f} times in hoppers and on terrain, and {:.2f} to {:.2f} times where a wall "
+            "pushes",
             lambda: [cells_outside(), *verified(), *verified("within"), *costs_outside()],
         ),
         (
