@@ -265,6 +265,13 @@ def safe(engine: str, *quantities: str) -> list[float]:
     return [float(str(cell("figure_6_6", name, f"{engine}: safe")).split(" ")[-1]) for name in quantities]
 
 
+def wild_starts() -> list[float]:
+    """Figure 6.6: the least start outside of the cone that fails, and the largest that is safe, in weights of all circles."""
+    cells = [one for one in stored("figure_6_6")["data"]["cells"] if one["quantity"] == "start, outside the cone"]
+    value = {verdict: [one["value"] for one in cells if one["verdict"] == verdict] for verdict in ("failed", "safe")}
+    return [min(value["failed"]), max(value["safe"])]
+
+
 def saved(row: str) -> float:
     """How many times cheaper a step or sweep is without what its scene does not require (Figure 6.7)."""
     return cell("figure_6_7", row, "times cheaper")
@@ -492,6 +499,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "mean penetration of {:.2f} % of r at rest, one step with the whole slop {:.2f} %",
             lambda: [penetration(**BY_MOTION), penetration(dt=0.01)],
         ),
+        ("a start of {:g} times the weight of all circles, whose rounding stays in the velocities; one of {:g} times", wild_starts),
         (
             "Radii that differ {:,.0f} times degrade",
             lambda: [float(cell("figure_6_6", "radius ratio", "ours: degraded"))],

@@ -5,10 +5,12 @@ import numpy as np
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import learned_starts as study
 from deep_contact.studies.learned_starts import CLASSICAL, FEW, LEARNED, OFF
+from deep_contact.validation import integer
 
 
 def compute(options, seed, jobs, progress):
     """Every start with every solver on the same states of held-out scenes."""
+    integer("scenes", options["scenes"], least=2)  # one has no interval
     starts = study.starts_with(options["model"])
     scenes = study.errors_on_scenes(starts, options, seed + 10_000, jobs, progress)
     return {"after": options["after"], "scenes": scenes}

@@ -24,7 +24,6 @@ from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
 from deep_contact.state import State
 from deep_contact.studies.starts import REFERENCE, solved_states, start_of
 from deep_contact.studies.verdicts import interval
-from deep_contact.validation import integer
 from deep_contact.warm_start import Sph, WarmStart, solved_impulses
 
 SOLVERS = {
@@ -86,9 +85,7 @@ def errors_on_scenes(starts: Mapping, options: Mapping, seed: int, jobs, progres
     The training data have 0.5. starts: name -> description (`starts.start_of`), among them "builtin". options: number
     of "scenes", "steps" of a scene, of which one in "every" is measured, and the numbers of sweeps "after" which errors
     are measured. Returns scene by scene {"step": (states,), "errors": {setting: (states, len(after))}}.
-    Raises ValueError with fewer than two scenes, which have no interval.
     """
-    integer("scenes", options["scenes"], least=2)
     settings = settings_with(starts)
     tasks = [{**options, "starts": starts, "settings": settings, "seed": s} for s in seeds(seed, options["scenes"])]
     return parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
