@@ -441,12 +441,13 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             walls_ends,
         ),
         (
-            "In {} cells ours alone keeps the preset; in {} of these a rival does at the lower ends of its errors. In {} cell",
+            "In {} cells ours alone keeps the preset; in {} of these a rival does at the lower ends of its errors. Cells "
+            "that only a rival keeps: {}",
             walls_alone,
         ),
-        ("{} of the {} cells of hoppers", lambda: wall_cells("hopper")[::-1]),
+        ("Of hoppers, {} of the {} cells have a ratio", lambda: wall_cells("hopper")[::-1]),
         ("{} to {} of ours were run, and {} of each rival", walls_settings),
-        ("The {} other cells have no mark", lambda: [sum(walls_alone()[1:])]),
+        ("Cells without a mark: {}", lambda: [sum(walls_alone()[1:])]),
         (
             "at 100 and at 1,000 circles ours has {}, Box2D v3 {}, Box2D 2.3 {} and pymunk {}. At 3,000 circles these are {}, {}, "
             "{} and {}, and at 10,000 {}, {}, {} and {}",
@@ -518,7 +519,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "On terrain, in drums and in hoppers it takes {:.1f} to {:.1f} times as long, in the {} of {} cases",
             lambda: [*walls()[:2], *wall_cells()[::-1]],
         ),
-        ("In {} of the others only this package does, in {} only another engine", lambda: walls_alone()[::2]),
+        ("In {} of the others only this package does. Cases that only another engine keeps: {}", lambda: walls_alone()[::2]),
         (
             "takes {:.2f} times the sweeps of that start in piles of 100 circles, with an interval of {:.2f} to {:.2f}",
             lambda: not_efficient("model.h5")[0],
