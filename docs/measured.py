@@ -579,7 +579,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         (
             "contact an interval of {:.2f} times the mean λ_n. So in the worst case no network can promise an error below {:.2f} "
             "of the mean λ_n. PGS from zero ends {:.2f} of it away from the run's impulses (Figure 6.15). In settling piles of "
-            "100 circles that interval is at most {:.0e}",
+            "100 circles that interval is at most {:.2f}",
             lambda: [*(width(scene="thesis", radii="1") / k for k in (1, 2)), elsewhere()[0], settling_width()],
         ),
         (
