@@ -94,7 +94,7 @@ DENSE_LARGEST = [
     *settings({2: (20,), 4: (10, 20), 8: (20,), QUARTER: (10, 20)}, **COLOURS, **FEW),
     *settings({QUARTER: (20,), (8, 32, 0.25): (10, 40)}, **COLOURS, **NEAR),
 ]
-"""Those of `DENSE_LARGE`."""
+"""With 10,000 circles: the same choice from `DENSE_LARGE`, for `runs.DENSE_KINDS`."""
 
 LADDER = [
     *settings({1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}, **PGS),
@@ -111,6 +111,8 @@ LARGEST_LADDER = [
     *settings({1: (10,)}, **COLOURS, **FEW),
     *settings({2: (10,), 4: (5,)}, **COLOURS),
 ]
+"""With 10,000 circles: what smaller steps are held against, and what kept a preset there in earlier studies."""
+
 PYMUNK, BOX2D, BOX2D_V3 = {"engine": "pymunk"}, {"engine": "Box2D 2.3"}, {"engine": "Box2D v3"}
 BY_SLOP = {1: (4, 6, 10, 20, 30), 2: (2, 3, 4, 6, 10), 4: (1, 2, 3, 4), 8: (1, 2)}
 BY_POSITIONS = {1: (4, 10, 20, 30), 2: (2, 4, 6, 10), 4: (1, 2, 4), 8: (1, 2)}

@@ -8,6 +8,7 @@ from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.io.state_xml import format_state
+from deep_contact.state import checks
 from deep_contact.state.checks import check_state
 
 
@@ -92,3 +93,10 @@ def test_contacts_are_found_and_nothing_is_solved(pile):
     solved = dc.experiments.solved_states(pile, steps=2)[-1]
     assert solved.solved
     assert dc.find_contacts(solved) == solved
+
+
+def test_a_check_that_finds_nothing_wrong_writes_no_text_of_bodies(monkeypatch):
+    written = []
+    monkeypatch.setattr(checks, "brief", lambda value: written.append(type(value)) or "")
+    check_state(circles_at([[5.0, 5.0]]))
+    assert not {dc.Bodies, dc.Contacts, np.ndarray} & set(written)
