@@ -127,7 +127,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or that of --accuracy fast)")
     add("--tolerance", type=float, metavar="N·s", help="θ, the largest change of an impulse, that ends a step's sweeps")
     add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of both")
-    add("--out", metavar="FILE", help="the last state, .xml or .xml.gz; the run, .h5; a film of it, .gif or .mp4")
+    add("--out", metavar="FILE", help="the last state, .xml, .xml.gz or a picture, .png; the run, .h5; a film, .gif or .mp4")
 
 
 def _number_or_word(text: str) -> float | str:
@@ -161,8 +161,8 @@ def _simulate(args) -> int:
 
     out = Path(args.out or "")
     if args.out is not None:  # before the run, not after it
-        fits = out.name.endswith((".xml", ".xml.gz", ".h5", ".gif", ".mp4"))
-        expect(fits, f"--out: expected a file that ends in .xml, .xml.gz, .h5, .gif, .mp4, got {args.out!r}")
+        fits = out.name.endswith((".xml", ".xml.gz", ".png", ".h5", ".gif", ".mp4"))
+        expect(fits, f"--out: expected a file that ends in .xml, .xml.gz, .png, .h5, .gif, .mp4, got {args.out!r}")
         expect(out.parent.is_dir(), f"--out: expected a folder that exists, got {str(out.parent)!r}")
         check_writable(out)
     scene = _scene(args)
@@ -172,10 +172,16 @@ def _simulate(args) -> int:
     what = f"{state.bodies.count} circles, {args.steps} steps of {state.dt:g} s, {describe(state.solver)}"
     print(f"{state.name}: {what}")
     if args.steps:
-        ended = f"last θ: {run.theta[-1]:.3g} N·s ({run.status[-1].replace('_', ' ')})"
+        is_fixed = state.solver.tolerance is None  # then to be done with all sweeps is no failure
+        why = "a fixed number of sweeps" if is_fixed else run.status[-1].replace("_", " ")
+        ended = f"last θ: {run.theta[-1]:.3g} N·s ({why})"
         print(f"contacts: {state.contacts.count}; sweeps a step: {run.sweeps.mean():.1f}; {ended}")
     if args.out is not None:
-        if record is None:
+        if out.suffix == ".png":
+            figure, ax = dc.plotting.subplots()
+            dc.plotting.draw_state(ax, state)
+            dc.plotting.save(figure, out)
+        elif record is None:
             dc.write_state(out, state)
         elif out.suffix == ".h5":
             run.trajectory.save(out)
@@ -257,7 +263,8 @@ def _scene(args):
     for name in ("bodies", "size", "radius", "seed", "no_gravity"):
         value, flag = getattr(args, name), f"--{name.replace('_', '-')}"
         is_left_out = value is None or value is False
-        expect(is_left_out, f"{flag}: expected none beside STATE.xml, which is a scene already, got {value}")
+        way = "; `--gravity 0` switches it off" if name == "no_gravity" else ""
+        expect(is_left_out, f"{flag}: expected none beside STATE.xml, which is a scene already, got {value}{way}")
     state = dc.load_trajectory(args.state)[-1] if args.state.endswith(".h5") else dc.read_state(args.state)
     # Its impulses are those of its own world: in another one they are solved anew.
     return state.replace(load=load_of(state), world=replace(state.world, **world)) if world else state

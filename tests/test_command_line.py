@@ -166,6 +166,26 @@ def test_a_state_is_run_on_as_simulate_does(scene, tmp_path, capsys):
     assert third == str(out)
 
 
+def test_the_last_state_is_drawn(scene, tmp_path):
+    out = tmp_path / "pile.png"
+    assert main(["simulate", str(scene), "--steps", "1", "--out", str(out)]) == 0
+    with Image.open(out) as picture:
+        assert len(set(picture.convert("RGB").getdata())) > 10
+
+
+@pytest.mark.parametrize(
+    ("flags", "why"),
+    [
+        (["--accuracy", "preview"], "a fixed number of sweeps"),
+        (["--solver", "PGS", "--sweeps", "1", "--tolerance", "1e-12"], "max sweeps"),
+        (["--solver", "PGS", "--tolerance", "1"], "converged"),
+    ],
+)
+def test_why_the_sweeps_ended_is_said(scene, flags, why, capsys):
+    assert main(["simulate", str(scene), "--steps", "1", *flags]) == 0
+    assert capsys.readouterr().out.rstrip().endswith(f"({why})")
+
+
 def test_options_left_out_are_those_of_the_state(tmp_path):
     scene, out = tmp_path / "scene.xml", tmp_path / "later.xml"
     dc.write_state(scene, dc.column(2).replace(solver=dc.PGS(position_sweeps=7)))
@@ -238,7 +258,7 @@ def test_an_accuracy_picks_the_solver(capsys):
         (["simulate", "scene.xml", "--bodies", "3"], "expected none beside STATE.xml"),
         (["simulate", "--every", "0", "--out", "film.gif"], "expected"),
         (["simulate", "scene.xml", "--radius", "2"], "--radius: expected none beside STATE.xml"),
-        (["simulate", "scene.xml", "--no-gravity"], "--no-gravity: expected none beside STATE.xml"),
+        (["simulate", "scene.xml", "--no-gravity"], "a scene already, got True; `--gravity 0` switches it off"),
         (["simulate", "--gravity", "1", "--no-gravity"], "--gravity: expected none beside --no-gravity, got [1.0]"),
         (["simulate", "--gravity", "1", "2", "3"], "--gravity: expected one number or two, got [1.0, 2.0, 3.0]"),
         (["simulate", "--gravity", "a.xml"], "--gravity: expected one number or two, got ['a.xml']"),
