@@ -127,7 +127,9 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or that of --accuracy fast)")
     add("--tolerance", type=float, metavar="N·s", help="θ, the largest change of an impulse, that ends a step's sweeps")
     add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of both")
-    add("--out", metavar="FILE", help="the last state, .xml, .xml.gz or a picture, .png; the run, .h5; a film, .gif or .mp4")
+    add(
+        "--out", metavar="FILE", help="the last state, .xml, .xml.gz or drawn, .png; the run, .h5; a film, .gif or .mp4"
+    )
 
 
 def _number_or_word(text: str) -> float | str:

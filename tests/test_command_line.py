@@ -170,7 +170,7 @@ def test_the_last_state_is_drawn(scene, tmp_path):
     out = tmp_path / "pile.png"
     assert main(["simulate", str(scene), "--steps", "1", "--out", str(out)]) == 0
     with Image.open(out) as picture:
-        assert len(set(picture.convert("RGB").getdata())) > 10
+        assert len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3), axis=0)) > 10
 
 
 @pytest.mark.parametrize(
@@ -178,11 +178,12 @@ def test_the_last_state_is_drawn(scene, tmp_path):
     [
         (["--accuracy", "preview"], "a fixed number of sweeps"),
         (["--solver", "PGS", "--sweeps", "1", "--tolerance", "1e-12"], "max sweeps"),
-        (["--solver", "PGS", "--tolerance", "1"], "converged"),
+        (["--solver", "PGS", "--tolerance", "1e3"], "converged"),
     ],
 )
-def test_why_the_sweeps_ended_is_said(scene, flags, why, capsys):
-    assert main(["simulate", str(scene), "--steps", "1", *flags]) == 0
+def test_why_the_sweeps_ended_is_said(flags, why, capsys):
+    state = command_line.shipped.sample_file("impact_154")
+    assert main(["simulate", str(state), "--steps", "1", *flags]) == 0
     assert capsys.readouterr().out.rstrip().endswith(f"({why})")
 
 
