@@ -127,9 +127,8 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or that of --accuracy fast)")
     add("--tolerance", type=float, metavar="N·s", help="θ, the largest change of an impulse, that ends a step's sweeps")
     add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of both")
-    add(
-        "--out", metavar="FILE", help="the last state, .xml, .xml.gz or drawn, .png; the run, .h5; a film, .gif or .mp4"
-    )
+    text = "the last state, .xml or .xml.gz; a picture of it, .png; the run, .h5; a film of it, .gif or .mp4"
+    add("--out", metavar="FILE", help=text)
 
 
 def _number_or_word(text: str) -> float | str:
@@ -265,7 +264,7 @@ def _scene(args):
     for name in ("bodies", "size", "radius", "seed", "no_gravity"):
         value, flag = getattr(args, name), f"--{name.replace('_', '-')}"
         is_left_out = value is None or value is False
-        way = "; `--gravity 0` switches it off" if name == "no_gravity" else ""
+        way = "; `--gravity 0` switches gravity off" if name == "no_gravity" else ""
         expect(is_left_out, f"{flag}: expected none beside STATE.xml, which is a scene already, got {value}{way}")
     state = dc.load_trajectory(args.state)[-1] if args.state.endswith(".h5") else dc.read_state(args.state)
     # Its impulses are those of its own world: in another one they are solved anew.

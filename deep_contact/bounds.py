@@ -8,7 +8,7 @@ Moreau and Roux, Phys. Rev. Lett. 77, 274 (1996); Unger, Kertész and Wolf, Phys
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from typing import NamedTuple
 
@@ -19,11 +19,10 @@ from scipy import sparse
 from deep_contact import parallel
 from deep_contact.physics import metrics
 from deep_contact.physics.exact import solve_exactly
-from deep_contact.physics.forces import name_of
 from deep_contact.physics.lcp import contact_problem
 from deep_contact.physics.ready import ready
 from deep_contact.state import State, StateWithContacts
-from deep_contact.validation import expect, integer, number
+from deep_contact.validation import expect, integer
 
 EXACT = 1e-8
 """Largest residual of the impulses, m/s."""
@@ -59,7 +58,6 @@ class ForceBounds(NamedTuple):
 def force_bounds(
     state: State,
     contacts: Sequence[int] | np.ndarray | None = None,
-    loads: Mapping | None = None,
     *,
     jobs: int | Executor = 1,
 ) -> ForceBounds:
@@ -71,10 +69,8 @@ def force_bounds(
     faster than that lies on its edge of Coulomb's cone. Slower ones may carry all that the cone allows: their intervals
     are too wide rather than too narrow.
 
-    contacts: numbers of those that are wanted; None are all. loads: measured forces, which narrow the bounds. Number of
-    a contact -> (normal force, error), N. Or "floor", "right", "ceiling", "left", "segment 3" -> ((f_x, f_y), error),
-    N: the force on it as `dc.forces` has it, each component within the error. jobs: processes, or an executor.
-    Raises ValueError naming the argument, also where no exact motion was found and where loads contradict it.
+    contacts: numbers of those that are wanted; None are all. jobs: processes, or an executor.
+    Raises ValueError naming the argument, also where no exact motion was found.
     """
     state = ready(state)
     number_of_parts = parallel.workers(jobs) if isinstance(jobs, Executor) else integer("jobs", jobs, 1)
@@ -98,16 +94,8 @@ def force_bounds(
     scale = float(impulse[:, 0].mean()) if impulse[:, 0].any() else 1.0
     lengths = np.column_stack([np.ones((state.bodies.count, 2)), 1 / state.bodies.radius]).ravel()
     sums = sparse.diags_array(lengths) @ sparse.csc_array(contact_problem(state).jacobian).T
-    rows, values, errors = _measured(state, loads or {})
-    unit, total = state.dt / scale, sums @ impulse.ravel() / scale
-    program = Program(
-        sparse.csr_array(sparse.vstack([sums, sparse.csr_array(rows.reshape(len(rows), 2 * m))]) @ edges),
-        np.append(total, unit * (values - errors)),
-        np.append(total, unit * (values + errors)),
-    )
-    if of.size and len(values):
-        possible = _highs(program).getModelStatus() == HighsModelStatus.kOptimal
-        expect(possible, "loads: expected those of some solution with the state's motion, got others")
+    total = sums @ impulse.ravel() / scale
+    program = Program(sparse.csr_array(sums @ edges), total)
     shares = np.array_split(_side_by_side(state, wanted), number_of_parts)
     parts = [([wanted[i] for i in share], edges, program) for share in shares]
     ends = np.zeros((len(wanted), 2, 2))
@@ -115,27 +103,6 @@ def force_bounds(
         ends[shares[k]] = some
     narrow = (np.ptp(ends, axis=2) < DETERMINED).all(axis=1)
     return ForceBounds(scale * ends[:, 0], scale * ends[:, 1], float(narrow.mean()) if narrow.size else 1.0)
-
-
-def _measured(state: StateWithContacts, loads: Mapping) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows that make forces of impulses, (k, 2 m), the forces that were measured and their errors, N, (k,) each."""
-    c, rows, values, errors = state.contacts, [], [], []
-    names = [name_of(state, body) for body in c.body_b]
-    tangent = np.column_stack([c.normal[:, 1], -c.normal[:, 0]])
-    for key, (value, error) in loads.items():
-        error = number(f"loads[{key!r}]", error, 0)
-        if not isinstance(key, str):
-            rows.append(np.eye(1, 2 * c.count, 2 * integer("loads", key, most=c.count - 1))[0])
-            values.append(number(f"loads[{key!r}]", value))
-            errors.append(error)
-            continue
-        expect(key in names, f"loads: expected contacts, walls and segments that are touched, got {key!r}")
-        on = np.array([name == key for name in names])
-        for axis in (0, 1):
-            rows.append((np.column_stack([c.normal[:, axis], tangent[:, axis]]) * on[:, None]).ravel())
-            values.append(number(f"loads[{key!r}]", value[axis]))
-            errors.append(error)
-    return np.array(rows), np.array(values), np.array(errors)
 
 
 def _side_by_side(state: StateWithContacts, wanted: Sequence[int]) -> np.ndarray:
@@ -149,11 +116,10 @@ def _side_by_side(state: StateWithContacts, wanted: Sequence[int]) -> np.ndarray
 
 
 class Program(NamedTuple):
-    """Linear programs x >= 0, lower <= A x <= upper that differ in their costs."""
+    """Linear programs x >= 0, A x = total that differ in their costs."""
 
     matrix: sparse.csr_array
-    lower: np.ndarray
-    upper: np.ndarray
+    total: np.ndarray
 
 
 def _highs(program: Program) -> Highs:
@@ -162,7 +128,7 @@ def _highs(program: Program) -> Highs:
     for option, value in OPTIONS.items():
         highs.setOptionValue(option, value)
     highs.addVars(A.shape[1], np.zeros(A.shape[1]), np.full(A.shape[1], np.inf))
-    highs.addRows(A.shape[0], program.lower, program.upper, A.nnz, A.indptr, A.indices, A.data)
+    highs.addRows(A.shape[0], program.total, program.total, A.nnz, A.indptr, A.indices, A.data)
     highs.run()
     return highs
 

@@ -44,23 +44,6 @@ def test_two_circles_between_walls_lean_on_each_other():
     bounds = dc.force_bounds(state, [floor, left])
     np.testing.assert_allclose(bounds.normal / weight, [[0, 4], [0, np.inf]], atol=1e-9)
     np.testing.assert_allclose(bounds.tangent[1] / weight, [-0.5, 2.5], atol=0.01)  # arms are 0.995 m at the walls
-    # A wall that carries nothing leaves nothing between the circles either, as in a corner.
-    for loads in ({"left": ((0.0, 0.0), 0.0)}, {left: (0.0, 0.0)}):
-        measured = dc.force_bounds(state, loads=loads)
-        assert measured.determined == 1.0
-        np.testing.assert_allclose(measured.normal[floor] / weight, 1.0, atol=1e-9)
-    assert np.isfinite(dc.force_bounds(state, loads={"left": ((-10.0, 0.0), 5.0)}).normal).all()
-    with pytest.raises(ValueError, match="loads: expected those of some solution"):
-        dc.force_bounds(state, loads={floor: (5 * weight / state.dt, 0.1 * weight / state.dt)})
-
-
-def test_a_measured_force_is_on_the_wall_and_in_newtons():
-    """The circle pushes the left wall by 10 N and rubs it upwards by 4 N: n = (-1, 0), t = (0, 1), λ = f Δt."""
-    state, _ = row_of_circles(2, 0.5)
-    left = on(state, 0, 5)
-    bounds = dc.force_bounds(state, [left], {"left": ((-10.0, 4.0), 0.1), left: (10.0, 0.05)})
-    np.testing.assert_allclose(bounds.normal / state.dt, [[9.95, 10.05]])
-    np.testing.assert_allclose(bounds.tangent / state.dt, [[3.9, 4.1]])
 
 
 @pytest.mark.parametrize("speed", [3.0, -3.0])

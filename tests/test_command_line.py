@@ -259,7 +259,7 @@ def test_an_accuracy_picks_the_solver(capsys):
         (["simulate", "scene.xml", "--bodies", "3"], "expected none beside STATE.xml"),
         (["simulate", "--every", "0", "--out", "film.gif"], "expected"),
         (["simulate", "scene.xml", "--radius", "2"], "--radius: expected none beside STATE.xml"),
-        (["simulate", "scene.xml", "--no-gravity"], "a scene already, got True; `--gravity 0` switches it off"),
+        (["simulate", "scene.xml", "--no-gravity"], "a scene already, got True; `--gravity 0` switches gravity off"),
         (["simulate", "--gravity", "1", "--no-gravity"], "--gravity: expected none beside --no-gravity, got [1.0]"),
         (["simulate", "--gravity", "1", "2", "3"], "--gravity: expected one number or two, got [1.0, 2.0, 3.0]"),
         (["simulate", "--gravity", "a.xml"], "--gravity: expected one number or two, got ['a.xml']"),

@@ -13,7 +13,6 @@ from PIL import Image
 
 import deep_contact as dc
 from deep_contact import trajectory
-from deep_contact.reporting import figures
 from deep_contact.state import notebook
 
 
@@ -83,19 +82,6 @@ def test_arrays_plans_and_recommendations_are_tables(run):
     assert cells(run.state.contacts._repr_html_())[2][:3] == ["2", "1", "2"]
     assert cells(dc.recommend(run.state)._repr_html_())
     assert cells(dc.plan(run.state)._repr_html_())
-
-
-def test_the_results_of_a_figure_are_a_dict_that_shows_the_picture(tmp_path):
-    claims = [figures.Claim("1 < 2", None, True, {"one": 1})]
-    figure = figures.Figure(
-        "T 9.9", "A <b>", lambda *_: {"x": 1}, lambda data: [["x"], [data["x"]]], None, lambda _: claims
-    )
-    found = figures.produce(figure, out=tmp_path)
-    assert found["data"] == {"x": 1}
-    assert repr(found).startswith("Results('Table 9.9: A <b>', 1 claims, ")
-    assert "holds: 1 &lt; 2" in found._repr_html_()
-    assert "A &lt;b&gt;" in found._repr_html_()
-    assert "data:image/png;base64,iVBOR" in found._repr_html_()
 
 
 # ---- states that compare, and that nothing changes by accident ----

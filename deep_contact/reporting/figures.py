@@ -13,7 +13,6 @@ the type of the default, which may be a list, a dict or None.
 from __future__ import annotations
 
 import argparse
-import base64
 import json
 import os
 import re
@@ -25,7 +24,6 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
-from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -169,8 +167,8 @@ def produce(
     seed: int | None = None,
     out: str | os.PathLike = "figures",
     jobs: int | Executor = 1,
-) -> Results:
-    """Compute, store, draw and report a figure; the stored results, a dict that a notebook shows as the picture.
+) -> dict:
+    """Compute, store, draw and report a figure; the stored results.
 
     options: changes to the figure's own, by name. quick: start from those of its quick run. out: folder of the files.
     jobs: number of processes, or an executor (`parallel.finished`); the numbers do not depend on it. The results
@@ -188,25 +186,7 @@ def produce(
     stored = results.read_results(results.write_results(path, stored))
     _draw(figure, stored, path)
     _report(figure, stored, path)
-    return Results(stored, figure=figure, picture=path.with_suffix(".png"))
-
-
-class Results(dict):
-    """The stored results of a figure, which a notebook shows as its picture and its claims. picture: its path."""
-
-    def __init__(self, stored: dict, *, figure: Figure, picture: Path):
-        super().__init__(stored)
-        self._figure, self._picture = figure, picture
-
-    def __repr__(self) -> str:
-        return f"Results({self._figure.heading!r}, {len(self['claims'])} claims, {str(self._picture)!r})"
-
-    def _repr_html_(self) -> str:
-        beside = self._figure.beside(self["options"])
-        lines = (escape(claim_line(claim, beside, measured=False)) for claim in self["claims"])
-        picture = base64.b64encode(self._picture.read_bytes()).decode("ascii")
-        text = f"<b>{escape(self._figure.heading)}</b><ul>{''.join(f'<li>{line}</li>' for line in lines)}</ul>"
-        return f'{text}<img style="max-width:100%" src="data:image/png;base64,{picture}">'
+    return stored
 
 
 def _draw(figure: Figure, stored: dict, path: Path) -> None:
