@@ -143,7 +143,7 @@ def costs_outside() -> list[float]:
     for row in stored("run_tradeoff_verify")["data"]["times"]:
         place = next((place for word, place in places.items() if word in row["kind"]), "")
         found[place].append(row["us"] / row["predicted_us"])
-    middle = float(np.median(sum(found.values(), [])))
+    middle = float(np.median(np.concatenate(list(found.values()))))
     return [middle, *(end / middle for ratios in found.values() for end in spread(ratios))]
 
 
