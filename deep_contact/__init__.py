@@ -45,7 +45,8 @@ if TYPE_CHECKING:
         solve_contacts,
         step,
     )
-    from deep_contact.state import Bodies, Contacts, State, World
+    from deep_contact.state import State, World
+    from deep_contact.state.arrays import Bodies, Contacts
     from deep_contact.state.checks import make_bodies
     from deep_contact.state.scales import BOX2D, ContactScales
     from deep_contact.studies import starts as experiments

@@ -21,7 +21,8 @@ import numpy as np
 
 from deep_contact import constants
 from deep_contact.physics.engine import contacts_of
-from deep_contact.state import Bodies, State, World
+from deep_contact.state import State, World
+from deep_contact.state.arrays import Bodies
 from deep_contact.state.checks import check_bodies, check_state
 
 

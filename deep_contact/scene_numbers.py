@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.compiled import njit
-from deep_contact.state import Bodies, State
+from deep_contact.state import State
+from deep_contact.state.arrays import Bodies
 from deep_contact.state.scales import mean
 
 

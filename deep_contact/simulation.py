@@ -27,18 +27,8 @@ from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance
 from deep_contact.physics.step import DONE, FINITE, LAST_SWEEPS, WORK, StepLog, make_log, of_whole_step, some_steps
 from deep_contact.physics.substeps import shift_flights
 from deep_contact.presets import Accuracy, Decision, MeasuredAccuracy, PresetWarning, decide
-from deep_contact.state import (
-    LIMITS,
-    Bodies,
-    Contacts,
-    State,
-    StateWithContacts,
-    World,
-    changed,
-    frozen,
-    notebook,
-    read_only,
-)
+from deep_contact.state import State, StateWithContacts, World, changed, frozen, notebook, read_only
+from deep_contact.state.arrays import LIMITS, Bodies, Contacts
 from deep_contact.state.checks import (
     check_types,
     checked_indices,
@@ -182,10 +172,19 @@ class Simulator:
         sleep: bool = False,
         push=None,
     ):
-        self._how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep, "push": push}
-        self._how["anew"] = solver is None and getattr(state, "solver", None) is None
-        self._steps: Steps | None = None
-        self._go_on(*_prepared(state, **self._how))
+        options = RunOptions(solver=solver, accuracy=accuracy, warm_start=warm_start, sleep=sleep, push=push)
+        self._begin(state, options)
+
+    @classmethod
+    def _of(cls, state: State, options: RunOptions) -> Simulator:
+        simulator = cls.__new__(cls)
+        simulator._begin(state, options)
+        return simulator
+
+    def _begin(self, state: State, options: RunOptions) -> None:
+        is_anew = options.solver is None and getattr(state, "solver", None) is None
+        self._options, self._steps = options._replace(is_anew=is_anew), None
+        self._go_on(*_prepared(state, self._options))
 
     def step(self, steps: int = 1) -> None:
         """Do so many steps. Raises FloatingPointError where the solver diverges beyond all numbers."""
@@ -255,7 +254,7 @@ class Simulator:
         """
         drive, world = self._inputs.drive, self._scene.world
         most = LIMITS["world.segment_velocities"][1]
-        if self._how["accuracy"] is not None or self._how["anew"]:
+        if self._options.accuracy is not None or self._options.is_anew:
             most = self._fastest_wall
         velocities = checked_velocities(segment_velocities, len(world.segments))
         wall = np.array(velocities).reshape(-1, 4)
@@ -290,22 +289,23 @@ class Simulator:
         return index
 
     def __reduce__(self):
-        return _restored, (self.state, self._start, self._how)
+        return _restored, (self.state, self._start, self._options)
 
     def __repr__(self) -> str:
         return f"Simulator({self.state!r})"
 
     def _change(self, state: State, push=None) -> None:
         """Go on from another state. push: a new one; None for the state's, or the function that there is."""
-        push = push if push is not None else self._how["push"] if callable(self._how["push"]) else state.push
-        how = self._how | {"push": push}
-        prepared = _prepared(state, **how)
-        self._how = how
+        if push is None:
+            push = self._options.push if callable(self._options.push) else state.push
+        options = self._options._replace(push=push)
+        prepared = _prepared(state, options)
+        self._options = options
         self._go_on(*prepared)
 
     def _go_on(self, state: StateWithContacts, start: WarmStart) -> None:
         """Go on from a state that is ready, with its solver."""
-        solver, n, sleep = state.solver, state.bodies.count, self._how["sleep"]
+        solver, n, sleep = state.solver, state.bodies.count, self._options.sleep
         bodies, contacts = (type(part)(*map(np.copy, part)) for part in (state.bodies, state.contacts))
         if isinstance(start, NoStart):
             contacts.normal_start[:] = contacts.tangent_start[:] = 0.0
@@ -322,9 +322,9 @@ class Simulator:
         # Where nothing rubs, tangent rows go once no contact starts from a tangent impulse.
         self._may_lose_tangents = scene.world.friction == 0.0 and entry_of(solver).advance is None
         self._is_one_solve = replace(scene, solved=True).holds_solution
-        self._asks_between = callable(self._how["push"]) or not isinstance(start, (Builtin, NoStart))
+        self._asks_between = callable(self._options.push) or not isinstance(start, (Builtin, NoStart))
         self._origin = self._now = _Now(contacts, state.step, state.time, state.solved)
-        if callable(self._how["push"]):
+        if callable(self._options.push):
             self._scene = scene = replace(scene, push=(np.zeros((n, 2)), np.zeros(n)))
             self._inputs = step_input(scene, solver, scales)
         self._push = scene.push
@@ -361,7 +361,7 @@ class Simulator:
         """The state now, with arrays of which `taken` makes what the caller gets."""
         contacts, step, time, solved = self._now
         bodies, contacts = Bodies(*map(taken, self._scene.bodies)), Contacts(*map(np.ndarray.copy, contacts))
-        push = None if callable(self._how["push"]) else self._scene.push
+        push = None if callable(self._options.push) else self._scene.push
         fields = {"world": self._world(), "bodies": bodies, "contacts": contacts, "push": push, "solved": solved}
         state = changed(self._scene, **fields, step=step, time=time)
         return changed(state, load=load_of(state))
@@ -427,7 +427,7 @@ class Simulator:
 
     def _start_from_python(self, contacts: Contacts) -> tuple[Contacts, StepProblem | None]:
         """The contacts with what Python starts them from, and their problem, if it was built. Sets the push as well."""
-        push, solver, problem = self._how["push"], self._scene.solver, None
+        push, solver, problem = self._options.push, self._scene.solver, None
         if callable(push):
             self._push = force, torque = checked_push(push(read_only(self.state)), self._scene.bodies.count)
             self._inputs = self._inputs._replace(drive=self._inputs.drive._replace(force=force, torque=torque))
@@ -449,10 +449,10 @@ class _Now(NamedTuple):
     solved: bool
 
 
-def _restored(state: StateWithContacts, start: WarmStart, how: dict) -> Simulator:
+def _restored(state: StateWithContacts, start: WarmStart, options: RunOptions) -> Simulator:
     """A `Simulator` that goes on from the state of another."""
     simulator = Simulator.__new__(Simulator)
-    simulator._how, simulator._steps = how, None
+    simulator._options, simulator._steps = options, None
     simulator._go_on(state, start)
     return simulator
 
@@ -465,17 +465,16 @@ def _raise_diverged(bodies: Bodies, step: int) -> None:
     )
 
 
-def _prepared(state: State, solver, accuracy, warm_start, sleep, push, anew) -> tuple[StateWithContacts, WarmStart]:
-    """What a run begins with: the state, ready, with its solver and the impulses it starts from, and the start.
-
-    anew: without a solver and a preset, "fast" chooses the solver, even where the state has one.
-    """
+def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, WarmStart]:
+    """What a run begins with: the state, ready, with its solver and the impulses it starts from, and the start."""
     first, state = state, ready(state)
+    accuracy, push = options.accuracy, options.push
     constant = None if push is None or callable(push) else checked_push(push, state.bodies.count)
     state = replace(state, push=constant)
     without_past = first.contacts is None or state.step == 0
-    chosen_for = changed(state, solver=None) if anew and accuracy is None else state
-    solver, start, _, decision = method_of(chosen_for, solver, warm_start, accuracy, sleep=sleep)
+    chosen_for = changed(state, solver=None) if options.is_anew and accuracy is None else state
+    how = options.solver, options.warm_start, accuracy
+    solver, start, _, decision = method_of(chosen_for, *how, sleep=options.sleep)
     for sentence in decision.warnings if decision else ():
         warn(sentence, PresetWarning)
     # Not of a run that goes on, so that it comes to the same in one go and in parts.
@@ -577,24 +576,44 @@ def simulate(
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
     all numbers; the run can be interrupted.
     """
-    return _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, forces, until, on_step, push)
+    options = RunOptions(steps, dt, solver, warm_start, accuracy, sleep, push, record, forces, until, on_step)
+    return _simulate(state, options)
 
 
-def _simulate(
-    state, steps, dt, solver, warm_start, accuracy, sleep, record, forces=False, until=None, on_step=None, push=None,
-    stopped=None,
-) -> Simulation:  # fmt: skip
+class RunOptions(NamedTuple):
+    """The options of `simulate`, which says what they mean; `Simulator` and `simulate_many` have some of them."""
+
+    steps: int = 600
+    dt: float | None = None
+    solver: object = None
+    warm_start: Start = "builtin"
+    accuracy: Accuracy | MeasuredAccuracy | None = None
+    sleep: bool = False
+    push: object = None
+    record: int | None = None
+    forces: bool = False
+    until: Callable | None = None
+    on_step: Callable | None = None
+    is_anew: bool = False  # without solver and preset, "fast" chooses the solver, even where a later state has one
+
+    @property
+    def how(self) -> tuple:
+        """What the state that a run has led to depends on, but for `steps`, `dt` and the push."""
+        return self.solver, self.accuracy, self.warm_start, self.sleep
+
+
+def _simulate(state: State, options: RunOptions, stopped: threading.Event | None = None) -> Simulation:
     """`simulate`, which ends with a KeyboardInterrupt once the event `stopped` is set."""
-    integer("steps", steps)
+    record, forces, until, on_step = options.record, options.forces, options.until, options.on_step
+    steps = integer("steps", options.steps)
     if record is not None:
         integer("record", record, least=1)
     expect(not flag("forces", forces) or record is not None, "forces: expected False without record=…, got True")
-    if dt is not None:
-        state = with_time_step(state, dt)
-    how = solver, accuracy, warm_start, sleep
-    run = _last_run.take(state, how) if push is None else None
+    if options.dt is not None:
+        state = with_time_step(state, options.dt)
+    run = _last_run.take(state, options.how) if options.push is None else None
     if run is None:
-        run = Simulator(state, solver=solver, accuracy=accuracy, warm_start=warm_start, sleep=sleep, push=push)
+        run = Simulator._of(state, options)
     is_driven, every, done = record is not None and run._inputs.drive is not None, record or steps + 1, 0
     log = make_log(steps, 4 + len(state.world.segments) if forces else 0, state.bodies.count if is_driven else 0)
     frames, loads = [] if record is None else [run.state], [log.loads.copy()]
@@ -623,7 +642,7 @@ def _simulate(
     of_steps = Trajectory.from_states(solved) if solved else None
     columns = (column[:done] for column in log[:5])
     sums = np.array(loads) if forces else None, of_steps, np.array(on_circles) if is_driven else None
-    last = _last_run.keep(run, how) if done else run._state(np.asarray)
+    last = _last_run.keep(run, options.how) if done else run._state(np.asarray)
     return Simulation(last, *columns, recorded, *sums)
 
 
@@ -637,7 +656,7 @@ class _LastRun(threading.local):
 
     def keep(self, run: Simulator, how: tuple) -> StateWithContacts:
         """The state that a run has led to, from which the same arguments (`how`) go on."""
-        plain = isinstance(run._start, Builtin) and run._how["push"] is None and isinstance(how[1], (str, type(None)))
+        plain = isinstance(run._start, Builtin) and run._options.push is None and isinstance(how[1], (str, type(None)))
         if not plain or run._scene.bodies.count > KEPT:
             return run._state(np.asarray)
         state = run.state
@@ -697,16 +716,16 @@ def simulate_many(
     start = warm_start_of(warm_start)
     fits, states = isinstance(start, (Builtin, NoStart)), list(states)
     expect(fits, f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
-    how = (steps, dt, solver, start, accuracy, sleep, record, forces)
+    options = RunOptions(steps, dt, solver, start, accuracy, sleep, record=record, forces=forces)
     if jobs is not None:
         # Several a task: a scheduler takes as long for a task as a small scene does.
         numbered, size = list(enumerate(states)), max(1, len(states) // (TASKS * max(1, workers(jobs))))
         tasks = [numbered[first : first + size] for first in range(0, len(states), size)]
-        return [run for runs in parallel_map(partial(_some_of_many, how), tasks, jobs=jobs) for run in runs]
+        return [run for runs in parallel_map(partial(_some_of_many, options), tasks, jobs=jobs) for run in runs]
     stopped = threading.Event()
 
     def one(number: int) -> Simulation:
-        return _one_of_many(how, (number, states[number]), stopped)
+        return _one_of_many(options, (number, states[number]), stopped)
 
     with ThreadPoolExecutor(min(threads, max(1, len(states)))) as pool:
         runs = [pool.submit(one, number) for number in range(len(states))]
@@ -718,16 +737,18 @@ def simulate_many(
             raise
 
 
-def _some_of_many(how: tuple, numbered: list[tuple[int, State]]) -> list[Simulation]:
+def _some_of_many(options: RunOptions, numbered: list[tuple[int, State]]) -> list[Simulation]:
     """`_one_of_many` for several states."""
-    return [_one_of_many(how, one) for one in numbered]
+    return [_one_of_many(options, one) for one in numbered]
 
 
-def _one_of_many(how: tuple, numbered: tuple[int, State], stopped: threading.Event | None = None) -> Simulation:
-    """`_simulate` of one of many states. how: its arguments from `steps` to `forces`. Errors name the state."""
+def _one_of_many(
+    options: RunOptions, numbered: tuple[int, State], stopped: threading.Event | None = None
+) -> Simulation:
+    """`_simulate` of one of many states. Errors name the state."""
     number, state = numbered
     try:
-        return _simulate(state, *how, stopped=stopped)
+        return _simulate(state, options, stopped)
     except (ValueError, FloatingPointError) as error:
         raise type(error)(f"states[{number}]: {error}") from error
 

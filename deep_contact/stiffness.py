@@ -17,7 +17,8 @@ import numpy as np
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.solvers import NNCG, PGS
 from deep_contact.scene_numbers import SceneNumbers, scene_numbers
-from deep_contact.state import Bodies, State
+from deep_contact.state import State
+from deep_contact.state.arrays import Bodies
 from deep_contact.state.scales import FOLLOWS_SCENE
 
 MASS_RATIO = 100.0

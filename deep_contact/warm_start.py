@@ -19,7 +19,8 @@ from deep_contact import sph
 from deep_contact.physics.contact_solver import NORMAL, TANGENT, best_share
 from deep_contact.physics.engine import StepProblem, solve, step_problem
 from deep_contact.physics.support import supported
-from deep_contact.state import LARGEST_START, State, StateWithContacts
+from deep_contact.state import State, StateWithContacts
+from deep_contact.state.arrays import LARGEST_START
 from deep_contact.state.scales import ContactScales
 from deep_contact.validation import brief, expect, integer, one_of, real_numbers
 
@@ -297,7 +298,7 @@ def starting_impulses(
 
     problem: the state's contact problem, where a start with a method `from_problem(state, solver, problem)` needed it,
     so that the step goes on from it; else None. scales: the state's, if at hand.
-    Raises ValueError on impulses that do not fit the contacts or are beyond `state.LARGEST_START`.
+    Raises ValueError on impulses that do not fit the contacts or are beyond `state.arrays.LARGEST_START`.
     """
     problem = None
     if start is None or isinstance(start, str) or callable(start) or is_network(start):

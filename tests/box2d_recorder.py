@@ -11,7 +11,8 @@ from deep_contact.physics.collision import make_contacts, write_geometry
 from deep_contact.physics.engine import ContactSolution, solve
 from deep_contact.physics.segments import segments_in_grid
 from deep_contact.physics.solvers import PGS
-from deep_contact.state import Bodies, Contacts, State, World
+from deep_contact.state import State, World
+from deep_contact.state.arrays import Bodies, Contacts
 from deep_contact.state.checks import check_state
 
 

@@ -12,7 +12,8 @@ from box2d_recorder import RecordingBox2D
 
 from deep_contact import peers
 from deep_contact.constants import WALL_SKIN
-from deep_contact.state import BOTTOM, LEFT, RIGHT, TOP, WALL_NORMALS, State, World
+from deep_contact.state import State, World
+from deep_contact.state.arrays import BOTTOM, LEFT, RIGHT, TOP, WALL_NORMALS
 from deep_contact.state.checks import make_bodies
 
 FLOAT32 = 1e-6

@@ -75,4 +75,4 @@ def test_a_stopped_run_ends():
     stopped = threading.Event()
     stopped.set()
     with pytest.raises(KeyboardInterrupt):
-        simulation._simulate(SCENES[0], 5, None, None, "builtin", None, False, None, stopped=stopped)
+        simulation._simulate(SCENES[0], simulation.RunOptions(steps=5), stopped)

@@ -27,7 +27,8 @@ import numpy as np
 from deep_contact.io import hdf5
 from deep_contact.io.files import FileError, write_bytes
 from deep_contact.physics.solvers import METHODS, solver_from
-from deep_contact.state import Bodies, Contacts, State, StateWithContacts, World
+from deep_contact.state import State, StateWithContacts, World
+from deep_contact.state.arrays import Bodies, Contacts
 from deep_contact.state.checks import check_state, contact_faults
 from deep_contact.state.scales import ContactScales
 from deep_contact.validation import expect, number, one_of, refuse_where

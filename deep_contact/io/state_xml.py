@@ -21,7 +21,8 @@ from deep_contact.io.files import read_bytes, write_bytes
 from deep_contact.io.old_dialects import BODY, CONTACT, modernise
 from deep_contact.io.xml_tree import Rows, StateFileError, expect, fault, read_integer, read_number, read_text
 from deep_contact.physics.solvers import METHODS, solver_from
-from deep_contact.state import SIDES, WALL_NORMALS, Bodies, Contacts, State, World, no_contacts
+from deep_contact.state import State, World
+from deep_contact.state.arrays import SIDES, WALL_NORMALS, Bodies, Contacts, no_contacts
 from deep_contact.state.checks import check_state, is_unit
 from deep_contact.state.scales import ContactScales, mean
 from deep_contact.validation import integer

@@ -13,7 +13,7 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.constants import NEARLY
 from deep_contact.physics.segments import hold_beside, hold_beside_moving, insert_pairs, may_cross, segment_gap
-from deep_contact.state import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
+from deep_contact.state.arrays import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
 
 SMALLEST_DISTANCE = 5e-13
 """Centres closer than this, in sums of their radii, have no direction between them: `parting` gives one."""

@@ -94,9 +94,11 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies, drive):
             solver_bodies[i, V_S] += dt * (2.0 * w * drive.torque[i] / bodies.radius[i])
 
 
-@njit(cache=True)
+@njit(inline="always")
 def room_for_walls(solver_bodies, contacts, n, drive):
     """Solver bodies with a row for each contact with a segment that moves: these, or new ones if they are too few."""
+    if drive is None:
+        return solver_bodies
     more = 0
     for i in range(contacts.body_b.shape[0]):
         s = contacts.body_b[i] - n - 4

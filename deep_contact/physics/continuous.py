@@ -35,7 +35,7 @@ from deep_contact.physics.segments import (
     segment_gap,
     time_to_touch,
 )
-from deep_contact.state import WALL_NORMALS
+from deep_contact.state.arrays import WALL_NORMALS
 
 FAST = 0.5
 """A circle is fast if it moves further than so many of its radii in a step."""

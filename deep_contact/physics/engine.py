@@ -29,9 +29,9 @@ from deep_contact.physics.contact_solver import (
     store_impulses,
 )
 from deep_contact.physics.convergence import ConvergenceRecord, all_finite, convergence_record
-from deep_contact.physics.impacts import rebound
+from deep_contact.physics.impacts import logged_rebound, rebound
 from deep_contact.physics.position_correction import correct_positions
-from deep_contact.physics.segments import has_moving, moved_segments, positions_before, segments_in_grid
+from deep_contact.physics.segments import moved_segments, positions_before, segments_in_grid
 from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
 from deep_contact.physics.step import (
     DONE,
@@ -48,15 +48,16 @@ from deep_contact.physics.step import (
     is_asked,
     log_impulses,
     log_part,
+    log_work,
     make_memory,
     make_setup,
     with_rare,
     with_segments,
-    work_of_push,
     work_on,
 )
-from deep_contact.physics.substeps import depart, part_of, parts_of, rejoin
-from deep_contact.state import Contacts, State, native, notebook
+from deep_contact.physics.substeps import depart, part_by_motion, rejoin
+from deep_contact.state import State, native, notebook
+from deep_contact.state.arrays import Contacts
 from deep_contact.state.scales import ContactScales, mean
 
 
@@ -72,36 +73,28 @@ def advance(setup, contacts, motion, sleep, log, drive):
     setup: `StepSetup`. motion, drive: of its step; motion is None where it has nothing rare. sleep: `SleepMemory`, None
     where nothing may. log: `StepLog`, filled.
     """
-    step, options, memory = setup.step, setup.options, setup.memory
-    if drive is not None:
-        step = with_segments(step, moved_segments(step.segments, drive, 0.0))
+    step, memory = setup.step, setup.memory
+    step = with_segments(step, moved_segments(step.segments, drive, 0.0), drive)
     part, turn, received = step, 0, log.received
     for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
-        if sleep is not None:
-            if sleeping.all_asleep(sleep) and not has_moving(drive):
-                log_part(log, j // step.parts, 0, 0, memory.theta, 0)
-                if is_asked(log):
-                    impulse, n = impulses_of(contacts, 1.0 / step.parts), step.bodies.mass.shape[0]
-                    received = log_impulses(log, received, contacts, impulse, n)
-                log.progress[DONE] = j + 1
-                continue
-        if motion is not None:
-            parts = parts_of(step, memory.cells, drive)
-            part = part if parts * step.parts == part.parts else part_of(step, parts)
-            if part.parts > step.parts:
-                depart(step, part, contacts, drive)
+        if sleeping.all_asleep(sleep, drive):
+            log_part(log, j // step.parts, 0, 0, memory.theta, 0)
+            if is_asked(log):
+                impulse, n = impulses_of(contacts, 1.0 / step.parts), step.bodies.mass.shape[0]
+                received = log_impulses(log, received, contacts, impulse, n)
+            log.progress[DONE] = j + 1
+            continue
+        part = part_by_motion(step, motion, part, memory.cells, drive)
+        depart(step, motion, part, contacts, drive)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
             is_whole, contacts, received, segments = do_part(
-                part, motion, contacts, sleep, options, memory, log, received, j // step.parts, turn, drive
+                part, motion, contacts, sleep, setup, log, received, j // step.parts, turn, drive
             )
             if not is_whole:
                 return contacts, received
-            if drive is not None:
-                part, step = with_segments(part, segments), with_segments(step, segments)
-        if motion is not None:
-            if part.parts > step.parts:
-                rejoin(step, part, contacts, drive)
+            part, step = with_segments(part, segments, drive), with_segments(step, segments, drive)
+        rejoin(step, motion, part, contacts, drive)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
@@ -110,7 +103,7 @@ def advance(setup, contacts, motion, sleep, log, drive):
 
 
 @njit(inline="always")
-def do_part(part, motion, contacts, sleep, options, memory, log, received, k, turn, drive):
+def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive):
     """A part of the k-th step: velocities, positions, and the contacts that the next part solves, in buffer `turn`.
 
     Returns whether it is done, its contacts, `StepLog.received` and the segments after it. Where a circle is fast and
@@ -118,47 +111,38 @@ def do_part(part, motion, contacts, sleep, options, memory, log, received, k, tu
     count references to all arrays that are handed on.
     """
     bodies, box, segments, scales, friction = part.bodies, part.box, part.segments, part.scales, part.friction
+    options, memory, n, impacts = setup.options, setup.memory, part.bodies.mass.shape[0], log.loads[:0]
     solver_bodies, theta, rows, cells = memory.solver_bodies, memory.theta, memory.rows, memory.cells
-    active, impacts = contacts, log.loads[:0]
-    if sleep is not None:
-        active = sleeping.awake_contacts(contacts, sleep)
-    # Velocities.
+    active = sleeping.awake_contacts(contacts, sleep)
+    # Velocities: rebounds, forces, rows, and the impulses that solve them.
     if not memory.is_built:
-        if motion is not None:
-            if is_asked(log) or drive is not None:
-                impacts = np.zeros((active.body_a.shape[0], 2))
-            work = rebound(part, active, impacts, drive)
-            if drive is not None:
-                log.work[0] += work + work_on(part, active, impacts)
-                solver_bodies = room_for_walls(solver_bodies, active, bodies.mass.shape[0], drive)
+        impacts = logged_rebound(part, motion, active, log, drive)
+        solver_bodies = room_for_walls(solver_bodies, active, n, drive)
         integrate_velocities(bodies, part.gravity, part.dt, solver_bodies, drive)
-        if sleep is not None:
-            sleeping.hold_sleeping(solver_bodies, sleep)
+        sleeping.hold_sleeping(solver_bodies, sleep)
         rows = contact_rows(active, bodies.radius, segments, solver_bodies, rows, friction, 1.0 / part.parts, drive)
     apply_impulses(rows, solver_bodies, friction)
     sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, memory.workspace)
     store_impulses(rows, active, part.parts)
-    if sleep is not None:
-        sleeping.store_awake_impulses(active, contacts, sleep)
-    if drive is not None:
-        log.work[0] += work_on(part, active, impulses_of(active, 1.0 / part.parts)) + work_of_push(part, solver_bodies)
-        segments = moved_segments(segments, drive, part.dt)
-    # Positions.
+    sleeping.store_awake_impulses(active, contacts, sleep)
+    log_work(part, active, solver_bodies, log, drive)
+    # Positions: of segments, of circles, and their correction.
+    segments = moved_segments(segments, drive, part.dt)
     before = positions_before(bodies, segments)
     if not integrate_positions(bodies, solver_bodies, part, segments, drive):
         return False, contacts, received, segments
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
-    # The contacts that the next part or step solves.
+    # The contacts that the next part or step solves, and who sleeps in it.
     buffer, skin = memory.contacts[turn], scales.wall_skin
     following = next_contacts(
         bodies, before, box, segments, skin, cells, contacts, options.carry, buffer, drive, part.dt
     )
-    if sleep is not None:
-        sleeping.wake_and_put_to_sleep(part, following, sleep, drive)
+    sleeping.wake_and_put_to_sleep(part, following, sleep, drive)
+    # The log.
     log_part(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
     if is_asked(log):
-        received = log_impulses(log, received, contacts, impulses_of(contacts, 1.0 / part.parts), bodies.mass.shape[0])
-        received = log_impulses(log, received, active, impacts, bodies.mass.shape[0])
+        received = log_impulses(log, received, contacts, impulses_of(contacts, 1.0 / part.parts), n)
+        received = log_impulses(log, received, active, impacts, n)
     return True, following, received, segments
 
 

@@ -35,7 +35,8 @@ from deep_contact.physics.matrix_solvers import Blocks, blocks_of, solve_problem
 from deep_contact.physics.proximal_path import OPEN, SLIP_DOWN, SLIP_UP, STICK, follow
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.support import supported
-from deep_contact.state import LARGEST_START, State
+from deep_contact.state import State
+from deep_contact.state.arrays import LARGEST_START
 from deep_contact.state.checks import check_limits, check_state
 from deep_contact.validation import expect, floats, integer, number
 
@@ -103,7 +104,7 @@ def solve_exactly(
     cone, and `converged` says how it went.
     The same arguments give the same solution. See the module on the method, its costs and where it fails.
     Raises ValueError naming field and value if the contacts have not been found, on a state or problem that is not
-    valid or beyond `state.LIMITS`, and on arguments that do not hold together.
+    valid or beyond `state.arrays.LIMITS`, and on arguments that do not hold together.
     """
     number("residual", residual, above=0)
     integer("most_pivots", most_pivots)

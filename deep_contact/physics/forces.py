@@ -14,7 +14,8 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.physics.ready import has_engine_arrays, ready
-from deep_contact.state import SIDES, State, body_name
+from deep_contact.state import State
+from deep_contact.state.arrays import SIDES, body_name
 from deep_contact.state.checks import check_types
 from deep_contact.validation import integer, number
 

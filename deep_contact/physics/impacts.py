@@ -39,6 +39,7 @@ from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import arms_of, effective_masses
 from deep_contact.physics.islands import root_of
 from deep_contact.physics.segments import moves, surface_velocity, wall_velocity
+from deep_contact.physics.step import is_asked, work_on
 
 MOST_STRIKES = 200, 50_000
 """Rebounds of a step, per contact and, if that is more, of all. What approaches after them is left to the contact
@@ -82,6 +83,22 @@ class Round(NamedTuple):
     sums: np.ndarray
     impulse: np.ndarray
     fastest: np.ndarray
+
+
+@njit(inline="always")
+def logged_rebound(step, motion, contacts, log, drive):
+    """`rebound`, with its work in the log. Returns the impulses on second bodies, (m, 2), N·s; (0, 2) if nobody asks.
+
+    motion: of the step; None where it has no restitution.
+    """
+    impulse = log.loads[:0]
+    if motion is not None:
+        if is_asked(log) or drive is not None:
+            impulse = np.zeros((contacts.body_a.shape[0], 2))
+        work = rebound(step, contacts, impulse, drive)
+        if drive is not None:
+            log.work[0] += work + work_on(step, contacts, impulse)
+    return impulse
 
 
 @njit(cache=True, error_model="numpy")

@@ -11,7 +11,8 @@ import numpy as np
 
 from deep_contact.physics.engine import ContactSolution, after_impacts, contacts_of
 from deep_contact.physics.segments import ground_velocities
-from deep_contact.state import Bodies, State
+from deep_contact.state import State
+from deep_contact.state.arrays import Bodies
 
 
 def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:

@@ -37,7 +37,7 @@ from deep_contact.compiled.simd import (
 from deep_contact.constants import BAUMGARTE, POSITION_TOLERANCE
 from deep_contact.physics.collision import SMALLEST_DISTANCE, wall_gap
 from deep_contact.physics.segments import segment_gap
-from deep_contact.state import RIGHT, TOP, WALL_NORMALS
+from deep_contact.state.arrays import RIGHT, TOP, WALL_NORMALS
 
 IDLE = 4
 """The idle body among the five behind the circles, with which unused lanes are filled; 0 to 3 are the walls."""

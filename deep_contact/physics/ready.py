@@ -8,7 +8,8 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.physics.engine import contacts_of
-from deep_contact.state import LIMITS, Contacts, State, StateWithContacts, no_contacts
+from deep_contact.state import State, StateWithContacts
+from deep_contact.state.arrays import LIMITS, Contacts, no_contacts
 from deep_contact.state.checks import UNIT, check_limits, check_state, check_types, make_bodies
 from deep_contact.validation import warn
 
@@ -29,7 +30,7 @@ def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
     """The state checked and completed: valid, within limits, its arrays as compiled code takes them, contacts found.
 
     of_step: with those contacts of a solved state that came during its step; otherwise without.
-    Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.
+    Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.arrays.LIMITS`.
     """
     check_types(state)
     if not (has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):

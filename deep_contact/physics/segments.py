@@ -250,9 +250,11 @@ def carried(line, wall, s, dt, x, y):
     return line[s, 0] + along * e_x - across * e_y, line[s, 1] + along * e_y + across * e_x
 
 
-@njit(cache=True, error_model="numpy")
+@njit(inline="always")
 def moved_segments(segments, drive, dt):
-    """The segments after Δt, in a grid of where they are then; their lines move in place. drive: `step.Drive`."""
+    """The segments after Δt, in a grid of where they are then; their lines move in place. drive: of the step."""
+    if drive is None:
+        return segments
     if drive.moving.shape[0] == 0:
         return segments
     line = segments.line

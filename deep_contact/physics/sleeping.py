@@ -22,8 +22,8 @@ from deep_contact.constants import POSITION_TOLERANCE
 from deep_contact.physics.collision import make_contacts, more_contacts, some_contacts
 from deep_contact.physics.contact_solver import INVERSE_MASS
 from deep_contact.physics.islands import root_of, unite
-from deep_contact.physics.segments import moves
-from deep_contact.state import Contacts
+from deep_contact.physics.segments import has_moving, moves
+from deep_contact.state.arrays import Contacts
 
 STEADY = 0.02
 """Largest difference of two such ways, in `sleep_speed` times `sleep_time`. A ball on a slope of 2.4e-4 reaches it."""
@@ -49,9 +49,13 @@ def make_sleep_memory(n: int, capacity: int) -> SleepMemory:
     return SleepMemory(np.zeros(n), place, clock, *buffers, np.zeros((n, 2)), np.zeros(n))
 
 
-@njit(cache=True)
-def all_asleep(sleep):
-    """Whether no circle is awake."""
+@njit(inline="always")
+def all_asleep(sleep, drive):
+    """Whether no circle is awake, and no segment moves. sleep: None where nothing may. drive: of the step."""
+    if sleep is None:
+        return False
+    if has_moving(drive):
+        return False
     for time in sleep.still:
         if time < np.inf:
             return False
@@ -88,9 +92,11 @@ def wake_pushed(contacts, sleep, step):
             sleep.torque[i] = drive.torque[i]
 
 
-@njit(cache=True)
+@njit(inline="always")
 def awake_contacts(contacts, sleep):
-    """The contacts of circles that are awake, with the fields that a step reads, in the buffer."""
+    """The contacts of circles that are awake, with the fields that a step reads, in the buffer; without `sleep` all."""
+    if sleep is None:
+        return contacts
     still, buffer, m = sleep.still, sleep.active, 0
     if contacts.body_a.shape[0] > buffer.body_a.shape[0]:
         buffer = more_contacts(contacts.body_a.shape[0])
@@ -106,9 +112,11 @@ def awake_contacts(contacts, sleep):
     return some_contacts(buffer, 0, m)
 
 
-@njit(cache=True)
+@njit(inline="always")
 def store_awake_impulses(active, contacts, sleep):
     """Write the solved impulses of the contacts that are awake among all contacts, in place: `awake_contacts` back."""
+    if sleep is None:
+        return
     j = 0
     for i in range(contacts.body_a.shape[0]):
         if sleep.still[contacts.body_a[i]] < np.inf:
@@ -117,9 +125,11 @@ def store_awake_impulses(active, contacts, sleep):
             j += 1
 
 
-@njit(cache=True)
+@njit(inline="always")
 def hold_sleeping(solver_bodies, sleep):
     """Take back, in place, what gravity did to the circles that are asleep."""
+    if sleep is None:
+        return
     for i in range(sleep.still.shape[0]):
         if sleep.still[i] == np.inf:
             solver_bodies[i, :INVERSE_MASS] = 0.0
@@ -150,9 +160,11 @@ def look_at_places(sleep, position, dt, scales):
 def wake_and_put_to_sleep(step, contacts, sleep, drive):
     """Let Δt pass, in place, for the stillness of circles and islands. contacts: those at the bodies' positions.
 
-    A fixed circle is still where it does not move at all. What touches a segment that moves is awake. drive: of the
-    step.
+    A fixed circle is still where it does not move at all. What touches a segment that moves is awake. sleep: None where
+    nothing may. drive: of the step.
     """
+    if sleep is None:
+        return
     bodies, segments, scales = step.bodies, step.segments, step.scales
     still, parent, shortest = sleep.still, sleep.parent, sleep.shortest
     n = still.shape[0]

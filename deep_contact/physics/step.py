@@ -12,7 +12,7 @@ from deep_contact.physics.collision import Cells, make_cells, make_contacts
 from deep_contact.physics.contact_solver import Rows, make_rows
 from deep_contact.physics.position_correction import CorrectionRoom, make_correction_room
 from deep_contact.physics.segments import NO_SEGMENTS, Segments, moves, wall_velocity
-from deep_contact.state import Bodies, Contacts
+from deep_contact.state.arrays import Bodies, Contacts
 from deep_contact.state.scales import ContactScales
 
 
@@ -165,13 +165,24 @@ def log_part(log, k, contacts, sweeps, theta, relaxations):
     log.progress[LAST_SWEEPS] = sweeps
 
 
-@njit(cache=True)
-def with_segments(step, segments):
-    """The input of a step with its segments elsewhere."""
+@njit(inline="always")
+def with_segments(step, segments, drive):
+    """The input of a step with its segments elsewhere; itself where nothing is driven. drive: of the step."""
+    if drive is None:
+        return step
     return StepInput(
         step.bodies, step.box, segments, step.gravity, step.friction, step.restitution, step.dt, step.parts,
         step.scales, step.motion, step.drive,
     )  # fmt: skip
+
+
+@njit(inline="always")
+def log_work(step, contacts, solver_bodies, log, drive):
+    """Log the work of a part: that of its solved impulses and that of pushes. drive: of the step."""
+    if drive is not None:
+        log.work[0] += work_on(step, contacts, impulses_of(contacts, 1.0 / step.parts)) + work_of_push(
+            step, solver_bodies
+        )
 
 
 @njit(cache=True, error_model="numpy")

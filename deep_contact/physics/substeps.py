@@ -20,7 +20,7 @@ from deep_contact.compiled import njit
 from deep_contact.physics.collision import circles_around, refresh_list, sort_into_cells, wall_gap
 from deep_contact.physics.segments import is_free, near_box, segment_gap, wall_velocity
 from deep_contact.physics.step import StepInput
-from deep_contact.state import WALL_NORMALS
+from deep_contact.state.arrays import WALL_NORMALS
 
 
 @njit(cache=True, error_model="numpy")
@@ -33,17 +33,28 @@ def part_of(step, parts):
 
 
 @njit(inline="always")
-def depart(step, part, contacts, drive):
-    """Let circles in flight go on in parts of a substep, in place on their velocities. contacts: at their positions."""
-    if step.restitution > 0.0:
-        shift_flights(step.bodies, contacts, step.gravity, step.dt - part.dt, drive)
+def part_by_motion(step, motion, part, cells, drive):
+    """The part into which motion divides the next substep; `part` where it is as before, and where motion is None."""
+    if motion is None:
+        return part
+    parts = parts_of(step, cells, drive)
+    return part if parts * step.parts == part.parts else part_of(step, parts)
 
 
 @njit(inline="always")
-def rejoin(step, part, contacts, drive):
+def depart(step, motion, part, contacts, drive):
+    """Let circles in flight go on in parts of a substep, in place on their velocities. contacts: at their positions."""
+    if motion is not None:
+        if part.parts > step.parts and step.restitution > 0.0:
+            shift_flights(step.bodies, contacts, step.gravity, step.dt - part.dt, drive)
+
+
+@njit(inline="always")
+def rejoin(step, motion, part, contacts, drive):
     """`depart` taken back, after the parts."""
-    if step.restitution > 0.0:
-        shift_flights(step.bodies, contacts, step.gravity, part.dt - step.dt, drive)
+    if motion is not None:
+        if part.parts > step.parts and step.restitution > 0.0:
+            shift_flights(step.bodies, contacts, step.gravity, part.dt - step.dt, drive)
 
 
 @njit(cache=True, error_model="numpy")

@@ -17,7 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact.io.files import replacing
-from deep_contact.state import Bodies, Contacts, State, World, contact_lines, no_contacts
+from deep_contact.state import State, World, contact_lines
+from deep_contact.state.arrays import Bodies, Contacts, no_contacts
 from deep_contact.validation import expect, one_of
 
 DPI = 150

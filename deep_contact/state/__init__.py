@@ -1,4 +1,4 @@
-"""The state of a simulation: `World` (walls and constants), `Bodies`, `Contacts`, and the `State` that holds them.
+"""The state of a simulation: `World` (walls and constants), and the `State` that holds `Bodies` and `Contacts`.
 
 Conventions, said once, here:
 
@@ -19,151 +19,24 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from deep_contact import constants
 from deep_contact.state import notebook
+from deep_contact.state.arrays import SIDES, Bodies, Contacts, no_contacts
+from deep_contact.state.checks import (
+    beyond_limits,
+    check_bodies,
+    check_kept_contacts,
+    checked_indices,
+    checked_world,
+    warn_of_jumps,
+)
 from deep_contact.state.scales import ContactScales, contact_scales
 
 S, T = TypeVar("S", bound="State"), TypeVar("T")
-
-BOTTOM, RIGHT, TOP, LEFT = range(4)
-SIDES = ("floor", "right", "ceiling", "left")
-"""Names of the walls for users, in the order of their numbers."""
-WALL_NORMALS = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
-"""Contact normals of the four walls, from circle to wall."""
-
-LIMITS = {
-    "bodies.position": (-1e12, 1e12, "m"),
-    "bodies.velocity": (-1e10, 1e10, "m/s"),
-    "bodies.spin": (-1e10, 1e10, "rad/s"),
-    "bodies.mass": (1e-30, 1e30, "kg"),
-    "bodies.radius": (1e-6, 1e11, "m"),
-    "contacts.separation": (-1e13, 1e13, "m"),
-    "contacts.normal_impulse": (-1e60, 1e60, "N·s"),
-    "contacts.tangent_impulse": (-1e60, 1e60, "N·s"),
-    "contacts.normal_start": (-1e60, 1e60, "N·s"),
-    "contacts.tangent_start": (-1e60, 1e60, "N·s"),
-    "world.box": (-1e12, 1e12, "m"),
-    "world.segments": (-1e12, 1e12, "m"),
-    "world.surface_speeds": (-1e10, 1e10, "m/s"),
-    "world.segment_velocities": (-1e10, 1e10, "m/s"),
-    "world.gravity": (-1e6, 1e6, "m/s²"),
-    "world.friction": (0.0, 1e12, ""),
-    "dt": (1e-9, 1.0, "s"),
-    "scales.slop": (0.0, 1e11, "m"),
-    "scales.wall_skin": (0.0, 1e11, "m"),
-    "scales.max_correction": (0.0, 1e11, "m"),
-}
-"""Name -> smallest and largest value that the engine computes with, and their unit.
-
-A state may hold any finite number, and files keep it; the engine refuses others (`checks.check_limits`). Within,
-nothing overflows, whatever the combination: λ / m <= 1e90 m/s, whose square is a float. A step makes an accepted state
-of one: a body leaves it with at most `scales.FASTEST` m/s and rad/s, and the walls stop it. (Impulses alone may grow,
-after a start of 1e50 N·s.) Circles whose radius is below 1e-13 of their distance from the origin sink in.
-"""
-
-LARGEST_START = 1e50
-"""Largest impulse that a start may hand to the solver, N·s: below what contacts may carry, so that it can be solved."""
-
-
-def _is_equal(self, other) -> bool:
-    return all(map(np.array_equal, self, other)) if isinstance(other, type(self)) else NotImplemented
-
-
-class Bodies(NamedTuple):
-    """n circles (solid discs).
-
-    | field    | meaning                         | shape  | unit  |
-    |----------|---------------------------------|--------|-------|
-    | position | centre                          | (n, 2) | m     |
-    | velocity | of the centre                   | (n, 2) | m/s   |
-    | angle    | orientation, counter-clockwise  | (n,)   | rad   |
-    | spin     | angular velocity ω              | (n,)   | rad/s |
-    | mass     | infinite: a fixed circle        | (n,)   | kg    |
-    | radius   |                                 | (n,)   | m     |
-
-    A fixed circle moves by its own velocity and spin, which nothing changes: at 0 it is a peg, else a roller. Fixed
-    circles, walls and segments have no contacts among themselves.
-    """
-
-    position: np.ndarray
-    velocity: np.ndarray
-    angle: np.ndarray
-    spin: np.ndarray
-    mass: np.ndarray
-    radius: np.ndarray
-
-    __eq__, __ne__, __hash__ = _is_equal, object.__ne__, None  # type: ignore[assignment]
-
-    @property
-    def count(self) -> int:
-        """Number of circles. (`len` of a NamedTuple is its number of fields.)"""
-        return self.mass.shape[0]
-
-    @property
-    def inertia(self) -> np.ndarray:
-        """Moment of inertia of a solid disc, m r² / 2, shape (n,), kg·m²."""
-        # m r² first: half of the smallest mass is 0, and 0 times an infinite r² would be no number.
-        return 0.5 * (self.mass * self.radius**2)
-
-    @property
-    def is_fixed(self) -> np.ndarray:
-        """Whether a circle is fixed, (n,)."""
-        return np.isinf(self.mass)
-
-    @property
-    def free_mass(self) -> np.ndarray:
-        """Masses for sums over momentum and energy, (n,), kg: 0 for fixed circles, which belong to the walls."""
-        return np.where(self.is_fixed, 0.0, self.mass)
-
-    def _repr_html_(self) -> str:
-        return notebook.arrays_shown(notebook.counted(self.count, "circle"), self._asdict())
-
-
-class Contacts(NamedTuple):
-    """m contacts, sorted by (body_a, body_b).
-
-    | field           | meaning                                          | shape  | unit |
-    |-----------------|--------------------------------------------------|--------|------|
-    | body_a          | index of the first circle                        | (m,)   | –    |
-    | body_b          | second circle, n + wall, or n + 4 + segment      | (m,)   | –    |
-    | position        | contact point, in the middle of the overlap      | (m, 2) | m    |
-    | normal          | unit normal from a to b                          | (m, 2) | –    |
-    | separation      | gap along the normal, negative is penetration    | (m,)   | m    |
-    | normal_impulse  | λ_n, solved (or, unsolved, as the start)         | (m,)   | N·s  |
-    | tangent_impulse | λ_t, likewise                                    | (m,)   | N·s  |
-    | normal_start    | λ_n that the solver starts from                  | (m,)   | N·s  |
-    | tangent_start   | λ_t that the solver starts from                  | (m,)   | N·s  |
-    """
-
-    body_a: np.ndarray
-    body_b: np.ndarray
-    position: np.ndarray
-    normal: np.ndarray
-    separation: np.ndarray
-    normal_impulse: np.ndarray
-    tangent_impulse: np.ndarray
-    normal_start: np.ndarray
-    tangent_start: np.ndarray
-
-    __eq__, __ne__, __hash__ = _is_equal, object.__ne__, None  # type: ignore[assignment]
-
-    @property
-    def count(self) -> int:
-        """Number of contacts."""
-        return self.body_a.shape[0]
-
-    @property
-    def have_past(self) -> bool:
-        """Whether any of them carries an impulse of a step before: those of positions from elsewhere do not."""
-        return bool(self.normal_start.any() or self.tangent_start.any())
-
-    def _repr_html_(self) -> str:
-        title = f"{notebook.counted(self.count, 'contact')} (dc.contact_table(state) names walls and segments)"
-        return notebook.arrays_shown(title, self._asdict())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -197,15 +70,11 @@ class World:
     segment_velocities: Sequence = ()
 
     def __post_init__(self):
-        from deep_contact.state.checks import checked_world
-
         vars(self).update(checked_world(self))  # past the dataclass, which is frozen
 
     @cached_property
     def is_within_limits(self) -> bool:
         """Whether the engine computes with all of it (`LIMITS`)."""
-        from deep_contact.state.checks import beyond_limits
-
         return not any(beyond_limits(world=self, scales=self.scales))
 
 
@@ -265,12 +134,8 @@ class State:
             changes.setdefault("preset", None)
         changed = replace(self, **changes)
         if self.step > 0 and isinstance(changes.get("world"), World) and "bodies" not in changes:
-            from deep_contact.state.checks import warn_of_jumps
-
             warn_of_jumps(self.world, changed.world)
         if self.contacts is not None and "contacts" not in changes and ("bodies" in changes or "world" in changes):
-            from deep_contact.state.checks import check_kept_contacts
-
             check_kept_contacts(self, changed)
         return changed
 
@@ -281,7 +146,6 @@ class State:
         remove: indices of circles, or a flag for each. Raises ValueError on circles that there are not.
         """
         from deep_contact import find_contacts  # by the front door: physics stands above states
-        from deep_contact.state.checks import check_bodies, checked_indices
 
         n, removed = self.bodies.count, checked_indices("remove", remove, self.bodies.count)
         stays = np.delete(np.arange(n), removed)
@@ -375,14 +239,3 @@ def contact_lines(state: State) -> np.ndarray:
     ends, between = contacts.position.copy(), contacts.body_b < bodies.count
     ends[between] = bodies.position[contacts.body_b[between]]
     return np.stack([bodies.position[contacts.body_a], ends], axis=1)
-
-
-def body_name(body: int, circles: int) -> int | str:
-    """A body of a contact among so many circles, as users name it: a circle's number, "floor", or "segment 3"."""
-    beyond = body - circles
-    return body if beyond < 0 else SIDES[beyond] if beyond < 4 else f"segment {beyond - 4}"
-
-
-def no_contacts() -> Contacts:
-    """Contacts of a state that has none."""
-    return Contacts(*(np.zeros(0, np.int64),) * 2, *(np.zeros((0, 2)),) * 2, *(np.zeros(0),) * 5)

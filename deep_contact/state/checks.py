@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deep_contact.state import LIMITS, Bodies, Contacts, State, World
+from deep_contact.state.arrays import LIMITS, Bodies, Contacts
 from deep_contact.state.scales import ContactScales
 from deep_contact.validation import (
     brief,
@@ -24,6 +25,9 @@ from deep_contact.validation import (
     several,
     warn,
 )
+
+if TYPE_CHECKING:
+    from deep_contact.state import State, World
 
 UNIT = 1e-4
 """Largest deviation of the length of a normal from 1."""
@@ -192,6 +196,8 @@ def check_state(state: State) -> State:
 
 def check_types(state) -> State:
     """The state itself, if it, its parts and its settings are of their types. Raises ValueError naming the part."""
+    from deep_contact.state import State, World  # which are checked by this module as they are made
+
     if not isinstance(state, State):
         raise ValueError(f"state: expected a State, as of dc.circles_in_box or dc.read_state, got {brief(state)}")
     for name, kind in (("world", World), ("bodies", Bodies), ("contacts", Contacts)):

@@ -21,7 +21,7 @@ from deep_contact import constants
 _GRAVITY = -constants.GRAVITY[1]
 
 FASTEST = 2e9
-"""Largest speed, m/s, and spin, rad/s, with which a body leaves a step: below `state.LIMITS`, so that what a step makes
+"""Largest speed, m/s, and spin, rad/s, with which a body leaves a step: below `LIMITS`, so that what a step makes
 is accepted."""
 
 FOLLOWS_SCENE = "scene"

@@ -29,7 +29,8 @@ from deep_contact.physics.ready import ready
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
 from deep_contact.physics.solvers import PGS
 from deep_contact.simulation import simulate
-from deep_contact.state import Bodies, State, World
+from deep_contact.state import State, World
+from deep_contact.state.arrays import Bodies
 from deep_contact.state.checks import make_bodies
 from deep_contact.state.scales import mean
 from deep_contact.stiffness import stiffness

@@ -12,7 +12,8 @@ from math import cos, radians, sin, sqrt
 import numpy as np
 
 from deep_contact.constants import GRAVITY
-from deep_contact.state import Bodies, State, World
+from deep_contact.state import State, World
+from deep_contact.state.arrays import Bodies
 from deep_contact.state.checks import make_bodies
 from deep_contact.trade import Run
 

@@ -29,7 +29,7 @@ from deep_contact.cnn.dataset import (
 )
 from deep_contact.io import simulation_h5
 from deep_contact.io.simulation_h5 import DataFileError, pack_simulation, read_simulation, write_simulation
-from deep_contact.state import no_contacts
+from deep_contact.state.arrays import no_contacts
 
 SCRIPT = ROOT / "scripts" / "generate_data.py"
 

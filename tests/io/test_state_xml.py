@@ -22,7 +22,8 @@ from deep_contact import constants
 from deep_contact.io import state_xml, xml_tree
 from deep_contact.io.state_xml import StateFileError, format_state, parse_state, read_state, write_state
 from deep_contact.physics.solvers import PGS
-from deep_contact.state import BOTTOM, LEFT, WALL_NORMALS, Bodies, Contacts, State, World, no_contacts
+from deep_contact.state import State, World
+from deep_contact.state.arrays import BOTTOM, LEFT, WALL_NORMALS, Bodies, Contacts, no_contacts
 from deep_contact.state.checks import make_bodies
 from deep_contact.state.scales import BOX2D, ContactScales
 

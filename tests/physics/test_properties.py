@@ -1,4 +1,4 @@
-"""Properties of whole steps over random scenes (hypothesis): what holds whatever is put in, within `state.LIMITS`."""
+"""Properties of whole steps over random scenes (hypothesis): what holds whatever is put in within `LIMITS`."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from deep_contact.physics.continuous import FAST
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import METHODS
 from deep_contact.physics.solvers.registry import entry_of
-from deep_contact.state import LIMITS, Bodies
+from deep_contact.state.arrays import LIMITS, Bodies
 from deep_contact.state.checks import check_state
 from deep_contact.studies.extremes import mechanical_energy
 

@@ -16,7 +16,7 @@ from deep_contact.physics.lcp import contact_problem
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import METHODS
 from deep_contact.physics.solvers.registry import for_state
-from deep_contact.state import LIMITS
+from deep_contact.state.arrays import LIMITS
 from deep_contact.state.scales import FASTEST, mean, theta_tolerance
 
 POWERS_OF_FOUR = [4.0**k for k in (-6, -3, 3, 6)]

@@ -20,7 +20,7 @@ import deep_contact as dc
 from deep_contact import parallel
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.state import no_contacts
+from deep_contact.state.arrays import no_contacts
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 OPTIONS = {"n": 4, "scale": 1.5, "name": "poly6", "flag": False, "d": [0.25, 0.5], "limit": None}

@@ -14,7 +14,7 @@ from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.ready import is_valid, ready
 from deep_contact.physics.solvers import METHODS
 from deep_contact.reporting import figures
-from deep_contact.state import LIMITS, Bodies
+from deep_contact.state.arrays import LIMITS, Bodies
 from deep_contact.studies import extremes
 from deep_contact.studies.extremes import ACCURATE, DEGRADED, FAILED, REFUSED, SAFE, Trial, measure
 from deep_contact.warm_start import STARTS

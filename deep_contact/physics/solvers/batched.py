@@ -28,7 +28,7 @@ from deep_contact.physics.contact_solver import (
     integrate_velocities,
 )
 from deep_contact.physics.convergence import all_finite, is_over
-from deep_contact.physics.impacts import rebound
+from deep_contact.physics.impacts import logged_rebound
 from deep_contact.physics.position_correction import (
     correct_tiles,
     fill_centres,
@@ -45,11 +45,10 @@ from deep_contact.physics.step import (
     is_asked,
     log_impulses,
     log_part,
+    log_work,
     with_segments,
-    work_of_push,
-    work_on,
 )
-from deep_contact.physics.substeps import depart, part_of, parts_of, rejoin
+from deep_contact.physics.substeps import depart, part_by_motion, rejoin
 from deep_contact.validation import expect
 
 
@@ -188,21 +187,16 @@ def advance_in_batches(setup, contacts, room, log, drive):
     """`engine.advance` for `BatchedPGS`. room: a `Room`, which each call leaves to the next."""
     step, options = setup.step, setup.options
     room.contacts, room.memory, room.received = contacts, setup.memory, log.received
-    if drive is not None:
-        step = with_segments(step, moved_segments(step.segments, drive, 0.0))
+    step = with_segments(step, moved_segments(step.segments, drive, 0.0), drive)
     part, turn, buffers = step, 0, room.memory.contacts
     for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
-        if step.motion.most > 1:
-            part = part_of(step, parts_of(step, room.memory.cells, drive))
-            if part.parts > step.parts:
-                depart(step, part, room.contacts, drive)
+        part = part_by_motion(step, step.motion, part, room.memory.cells, drive)
+        depart(step, step.motion, part, room.contacts, drive)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
             segments = do_part_in_batches(part, options, room, buffers[turn], log, j // step.parts, drive)
-            if drive is not None:
-                part, step = with_segments(part, segments), with_segments(step, segments)
-        if part.parts > step.parts:
-            rejoin(step, part, room.contacts, drive)
+            part, step = with_segments(part, segments, drive), with_segments(step, segments, drive)
+        rejoin(step, step.motion, part, room.contacts, drive)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
@@ -222,17 +216,12 @@ def do_part_in_batches(part, options, room, buffer, log, k, drive):
     n, theta, cells, is_built = bodies.mass.shape[0], room.memory.theta, room.memory.cells, room.memory.is_built
     plan_part(part, room)
     plan, tiles, solved = room.plan, room.tiles, room.contacts
-    # Velocities.
+    # Velocities: rebounds, forces, tiles, and the impulses that solve them.
     velocities = tiles.solver_bodies[:n]
     if is_built:
         take_velocities(room.memory.solver_bodies, velocities)
     else:
-        impacts = log.loads[:0]
-        if is_asked(log) or drive is not None:
-            impacts = np.zeros((solved.body_a.shape[0], 2))
-        work = rebound(part, solved, impacts, drive)
-        if drive is not None:
-            log.work[0] += work + work_on(part, solved, impacts)
+        impacts = logged_rebound(part, part.motion, solved, log, drive)
         room.received = log_impulses(log, room.received, solved, impacts, n)
         integrate_velocities(bodies, part.gravity, part.dt, velocities, drive)
     fill_centres(bodies, tiles.centre[:n])
@@ -242,11 +231,10 @@ def do_part_in_batches(part, options, room, buffer, log, k, drive):
         theta[sweeps - 1] = np.nan
     for block in range(plan.count[BLOCKS]):
         batches.store_block(plan, tiles, solved, block, part.parts)
-    if drive is not None:
-        log.work[0] += work_on(part, solved, impulses_of(solved, 1.0 / part.parts)) + work_of_push(part, velocities)
-        batches.move_points(plan, tiles, part.dt)
-        segments = moved_segments(segments, drive, part.dt)
-    # Positions.
+    log_work(part, solved, velocities, log, drive)
+    # Positions: of segments, of circles, and their correction.
+    batches.move_points(plan, tiles, part.dt, drive)
+    segments = moved_segments(segments, drive, part.dt)
     before = positions_before(bodies, segments)
     integrate_positions(bodies, velocities, part, segments, drive)
     correct_positions_in_batches(plan, tiles, bodies, scales, options.position_sweeps)

@@ -1,0 +1,158 @@
+"""The arrays of a state, `Bodies` and `Contacts`, and within which limits the engine computes with them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact.state import notebook
+
+BOTTOM, RIGHT, TOP, LEFT = range(4)
+"""Numbers of the walls."""
+
+SIDES = ("floor", "right", "ceiling", "left")
+"""Names of the walls for users, in the order of their numbers."""
+WALL_NORMALS = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
+"""Contact normals of the four walls, from circle to wall."""
+
+LIMITS = {
+    "bodies.position": (-1e12, 1e12, "m"),
+    "bodies.velocity": (-1e10, 1e10, "m/s"),
+    "bodies.spin": (-1e10, 1e10, "rad/s"),
+    "bodies.mass": (1e-30, 1e30, "kg"),
+    "bodies.radius": (1e-6, 1e11, "m"),
+    "contacts.separation": (-1e13, 1e13, "m"),
+    "contacts.normal_impulse": (-1e60, 1e60, "N·s"),
+    "contacts.tangent_impulse": (-1e60, 1e60, "N·s"),
+    "contacts.normal_start": (-1e60, 1e60, "N·s"),
+    "contacts.tangent_start": (-1e60, 1e60, "N·s"),
+    "world.box": (-1e12, 1e12, "m"),
+    "world.segments": (-1e12, 1e12, "m"),
+    "world.surface_speeds": (-1e10, 1e10, "m/s"),
+    "world.segment_velocities": (-1e10, 1e10, "m/s"),
+    "world.gravity": (-1e6, 1e6, "m/s²"),
+    "world.friction": (0.0, 1e12, ""),
+    "dt": (1e-9, 1.0, "s"),
+    "scales.slop": (0.0, 1e11, "m"),
+    "scales.wall_skin": (0.0, 1e11, "m"),
+    "scales.max_correction": (0.0, 1e11, "m"),
+}
+"""Name -> smallest and largest value that the engine computes with, and their unit.
+
+A state may hold any finite number, and files keep it; the engine refuses others (`checks.check_limits`). Within,
+nothing overflows, whatever the combination: λ / m <= 1e90 m/s, whose square is a float. A step makes an accepted state
+of one: a body leaves it with at most `scales.FASTEST` m/s and rad/s, and the walls stop it. (Impulses alone may grow,
+after a start of 1e50 N·s.) Circles whose radius is below 1e-13 of their distance from the origin sink in.
+"""
+
+LARGEST_START = 1e50
+"""Largest impulse that a start may hand to the solver, N·s: below what contacts may carry, so that it can be solved."""
+
+
+def _is_equal(self, other) -> bool:
+    return all(map(np.array_equal, self, other)) if isinstance(other, type(self)) else NotImplemented
+
+
+class Bodies(NamedTuple):
+    """n circles (solid discs).
+
+    | field    | meaning                         | shape  | unit  |
+    |----------|---------------------------------|--------|-------|
+    | position | centre                          | (n, 2) | m     |
+    | velocity | of the centre                   | (n, 2) | m/s   |
+    | angle    | orientation, counter-clockwise  | (n,)   | rad   |
+    | spin     | angular velocity ω              | (n,)   | rad/s |
+    | mass     | infinite: a fixed circle        | (n,)   | kg    |
+    | radius   |                                 | (n,)   | m     |
+
+    A fixed circle moves by its own velocity and spin, which nothing changes: at 0 it is a peg, else a roller. Fixed
+    circles, walls and segments have no contacts among themselves.
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    angle: np.ndarray
+    spin: np.ndarray
+    mass: np.ndarray
+    radius: np.ndarray
+
+    __eq__, __ne__, __hash__ = _is_equal, object.__ne__, None  # type: ignore[assignment]
+
+    @property
+    def count(self) -> int:
+        """Number of circles. (`len` of a NamedTuple is its number of fields.)"""
+        return self.mass.shape[0]
+
+    @property
+    def inertia(self) -> np.ndarray:
+        """Moment of inertia of a solid disc, m r² / 2, shape (n,), kg·m²."""
+        # m r² first: half of the smallest mass is 0, and 0 times an infinite r² would be no number.
+        return 0.5 * (self.mass * self.radius**2)
+
+    @property
+    def is_fixed(self) -> np.ndarray:
+        """Whether a circle is fixed, (n,)."""
+        return np.isinf(self.mass)
+
+    @property
+    def free_mass(self) -> np.ndarray:
+        """Masses for sums over momentum and energy, (n,), kg: 0 for fixed circles, which belong to the walls."""
+        return np.where(self.is_fixed, 0.0, self.mass)
+
+    def _repr_html_(self) -> str:
+        return notebook.arrays_shown(notebook.counted(self.count, "circle"), self._asdict())
+
+
+class Contacts(NamedTuple):
+    """m contacts, sorted by (body_a, body_b).
+
+    | field           | meaning                                          | shape  | unit |
+    |-----------------|--------------------------------------------------|--------|------|
+    | body_a          | index of the first circle                        | (m,)   | –    |
+    | body_b          | second circle, n + wall, or n + 4 + segment      | (m,)   | –    |
+    | position        | contact point, in the middle of the overlap      | (m, 2) | m    |
+    | normal          | unit normal from a to b                          | (m, 2) | –    |
+    | separation      | gap along the normal, negative is penetration    | (m,)   | m    |
+    | normal_impulse  | λ_n, solved (or, unsolved, as the start)         | (m,)   | N·s  |
+    | tangent_impulse | λ_t, likewise                                    | (m,)   | N·s  |
+    | normal_start    | λ_n that the solver starts from                  | (m,)   | N·s  |
+    | tangent_start   | λ_t that the solver starts from                  | (m,)   | N·s  |
+    """
+
+    body_a: np.ndarray
+    body_b: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray
+    separation: np.ndarray
+    normal_impulse: np.ndarray
+    tangent_impulse: np.ndarray
+    normal_start: np.ndarray
+    tangent_start: np.ndarray
+
+    __eq__, __ne__, __hash__ = _is_equal, object.__ne__, None  # type: ignore[assignment]
+
+    @property
+    def count(self) -> int:
+        """Number of contacts."""
+        return self.body_a.shape[0]
+
+    @property
+    def have_past(self) -> bool:
+        """Whether any of them carries an impulse of a step before: those of positions from elsewhere do not."""
+        return bool(self.normal_start.any() or self.tangent_start.any())
+
+    def _repr_html_(self) -> str:
+        title = f"{notebook.counted(self.count, 'contact')} (dc.contact_table(state) names walls and segments)"
+        return notebook.arrays_shown(title, self._asdict())
+
+
+def body_name(body: int, circles: int) -> int | str:
+    """A body of a contact among so many circles, as users name it: a circle's number, "floor", or "segment 3"."""
+    beyond = body - circles
+    return body if beyond < 0 else SIDES[beyond] if beyond < 4 else f"segment {beyond - 4}"
+
+
+def no_contacts() -> Contacts:
+    """Contacts of a state that has none."""
+    return Contacts(*(np.zeros(0, np.int64),) * 2, *(np.zeros((0, 2)),) * 2, *(np.zeros(0),) * 5)
