@@ -22,7 +22,7 @@ import numpy as np
 from deep_contact import constants
 from deep_contact.physics.engine import contacts_of
 from deep_contact.state import State, World
-from deep_contact.state.arrays import Bodies
+from deep_contact.state.arrays import Bodies, corners
 from deep_contact.state.checks import check_bodies, check_state
 
 
@@ -88,7 +88,7 @@ class Box2D23(_Peer):
         b2, world = self._library, _at_rest(self._state.world)
         self.world = b2.b2World(gravity=world.gravity, doSleep=False, continuousPhysics=False, warmStarting=True)
         material = {"friction": world.friction, "restitution": world.restitution}
-        walls = b2.b2FixtureDef(shape=b2.b2LoopShape(vertices=_corners(world)), **material)
+        walls = b2.b2FixtureDef(shape=b2.b2LoopShape(vertices=corners(world.box)), **material)
         # The child edge of a contact says which wall it is. They count as ours: bottom, right, top, left.
         self.world.CreateStaticBody(fixtures=walls).fixtures[0].userData = -1
         for s, (x_0, y_0, x_1, y_1) in enumerate(world.segments):
@@ -211,13 +211,7 @@ def _at_rest(world: World) -> World:
     return world
 
 
-def _corners(world: World) -> list[tuple[float, float]]:
-    """The box, counter-clockwise from (x_min, y_min), so that edge k is wall k: bottom, right, top, left."""
-    x_min, y_min, x_max, y_max = world.box
-    return [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
-
-
 def _edges(world: World) -> list[tuple]:
-    """The two ends of each wall, in the order of `_corners`, and of each segment."""
-    a, b, c, d = _corners(world)
+    """The two ends of each wall, in the order of `corners`, and of each segment."""
+    a, b, c, d = corners(world.box)
     return [(a, b), (b, c), (c, d), (d, a), *((ends[:2], ends[2:]) for ends in world.segments)]

@@ -40,8 +40,11 @@ from deep_contact.trajectory import Trajectory
 from deep_contact.validation import brief, expect, flag, integer, number, one_of, warn
 from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
 
-MOST_WORK, SECONDS = 20_000_000, 0.2
-"""Most work of a call of compiled code, in relaxations of a contact, and its time: between calls Ctrl-C is raised."""
+MOST_WORK = 20_000_000
+"""Most work of a call of compiled code, in relaxations of a contact."""
+
+SECONDS = 0.2
+"""Time that such a call should take: between calls Ctrl-C is raised."""
 
 KEPT = 20_000
 """Most circles of a run whose memory is kept for the next call of `simulate`."""

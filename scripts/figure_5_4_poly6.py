@@ -4,7 +4,12 @@ from deep_contact.reporting import Claim, figures
 from deep_contact.studies import starts, verdicts
 from deep_contact.studies.starts import grid_of
 
-D, SUPPORTS = 0.25, (0.1, 0.2, 0.25, 0.5)
+D = 0.25
+"""Spacing of the first part, m."""
+
+SUPPORTS = (0.1, 0.2, 0.25, 0.5)
+"""h of the first part, m."""
+
 PLACE = "section 5.1.3, Figure 5.4"
 
 

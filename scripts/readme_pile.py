@@ -5,7 +5,11 @@ from pathlib import Path
 import deep_contact as dc
 from deep_contact.reporting import film
 
-STEPS, EVERY = 400, 8
+STEPS = 400
+"""Of the run."""
+
+EVERY = 8
+"""Steps from one image to the next."""
 
 
 def main():

@@ -38,7 +38,8 @@ def settings(budgets: dict, **options) -> list[dict]:
     return listed
 
 
-PGS, PSOR = {"method": "PGS"}, {"method": "PSOR", "omega": 1.3}
+PGS = {"method": "PGS"}
+PSOR = {"method": "PSOR", "omega": 1.3}
 COLOURS = {"method": "BatchedPGS"}
 FEW = {"position_sweeps": 3}
 NEAR = {"approach": 0.015}

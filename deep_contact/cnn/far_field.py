@@ -32,9 +32,6 @@ from deep_contact.cnn.images import Spec, with_contacts
 from deep_contact.compiled import njit
 from deep_contact.compiled.simd import WIDTH, load, spread, store
 from deep_contact.physics.contact_solver import (
-    ARM_A,
-    ARM_B,
-    BODY_A,
     BODY_B,
     N_X,
     N_Y,
@@ -46,6 +43,7 @@ from deep_contact.physics.contact_solver import (
     V_X,
     V_Y,
     apply_impulses,
+    relative_velocity,
 )
 from deep_contact.physics.engine import StepProblem, step_problem
 from deep_contact.sph import Grid
@@ -197,16 +195,6 @@ def _nodes(point, geometry, shape):
     return node, weight
 
 
-@njit(cache=True, error_model="numpy")
-def row_velocity(rows, velocity, i):
-    """Normal and tangential relative velocity of contact i, m/s."""
-    a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
-    n_x, n_y = rows.data[i, N_X], rows.data[i, N_Y]
-    v_x, v_y = velocity[b, V_X] - velocity[a, V_X], velocity[b, V_Y] - velocity[a, V_Y]
-    turn = rows.data[i, ARM_A] * velocity[a, V_S] + rows.data[i, ARM_B] * velocity[b, V_S]
-    return v_x * n_x + v_y * n_y, v_x * n_y - v_y * n_x + turn
-
-
 class _Measured(NamedTuple):
     """The quantities of `describe`, turned and divided by the state's scale, before unbounded ones are compressed."""
 
@@ -236,7 +224,7 @@ def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
     for i in range(m):
         k_n, k_t = rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS]
         p_n, p_t = rows.impulse[i, NORMAL], rows.impulse[i, TANGENT]
-        v_n, v_t = row_velocity(rows, after, i)
+        v_n, v_t = relative_velocity(rows, after, i)
         largest = friction * p_n
         residual[i, 0] = max(-v_n, -p_n / k_n)
         residual[i, 1] = (max(-largest, min(p_t - k_t * v_t, largest)) - p_t) / k_t
@@ -264,7 +252,7 @@ def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
         point[i, 0], point[i, 1] = x, y
         normal[i, 0], normal[i, 1] = n_x, n_y
         k_n, k_t = rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS]
-        v_n, v_t = row_velocity(rows, free, i)
+        v_n, v_t = relative_velocity(rows, free, i)
         p_n, p_t = rows.impulse[i, NORMAL], sign * rows.impulse[i, TANGENT]
         unit = k_n * scale
         sizes[i, 0], sizes[i, 1] = v_n / scale, sign * v_t / scale

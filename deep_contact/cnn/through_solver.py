@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact.cnn.far_field import row_velocity
 from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import (
     ARM_A,
@@ -30,6 +29,7 @@ from deep_contact.physics.contact_solver import (
     apply_impulse,
     apply_impulses,
     projected,
+    relative_velocity,
 )
 from deep_contact.physics.engine import step_problem
 from deep_contact.state import State
@@ -135,7 +135,7 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
     and the engine's own sweep does not keep them.
     """
     for i in range(rows.body.shape[0]):
-        row, (v_n, v_t) = rows.data[i], row_velocity(rows, velocity, i)
+        row, (v_n, v_t) = rows.data[i], relative_velocity(rows, velocity, i)
         old_n, old_t = impulse[i, 0], impulse[i, 1]
         largest = friction * old_n
         new_n, new_t = old_n - row[NORMAL_MASS] * v_n, old_t - row[TANGENT_MASS] * v_t

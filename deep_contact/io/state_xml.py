@@ -22,7 +22,7 @@ from deep_contact.io.old_dialects import BODY, CONTACT, modernise
 from deep_contact.io.xml_tree import Rows, StateFileError, expect, fault, read_integer, read_number, read_text
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.state import State, World
-from deep_contact.state.arrays import SIDES, WALL_NORMALS, Bodies, Contacts, no_contacts
+from deep_contact.state.arrays import SIDES, WALL_NORMALS, Bodies, Contacts, corners, no_contacts
 from deep_contact.state.checks import check_state, is_unit
 from deep_contact.state.scales import ContactScales, mean
 from deep_contact.validation import integer
@@ -242,20 +242,15 @@ def _read_box(root, body, bodies: Bodies, is_old: bool) -> tuple:
     elements = xml_tree.elements_of(shape, "corner", {"value"})
     for corner in elements:
         xml_tree.refuse_attributes(corner, ("x", "y"))
-    corners = [(read_number(corner, "x"), read_number(corner, "y")) for corner in elements]
+    found = [(read_number(corner, "x"), read_number(corner, "y")) for corner in elements]
     if "position" in parts:
         x, y = (read_number(parts["position"], name) for name in ("x", "y"))
         # Adding 0.0 would turn -0.0 into 0.0.
-        corners = [(a + x if x else a, b + y if y else b) for a, b in corners]
-    box = tuple(pick(corner[axis] for corner in corners) for pick in (min, max) for axis in (0, 1)) if corners else ()
-    upright = len(set(corners)) == 4 and set(corners) == set(_corners(box))
-    expect(upright, shape, "expected the four corners of an upright box", str(corners))
+        found = [(a + x if x else a, b + y if y else b) for a, b in found]
+    box = tuple(pick(corner[axis] for corner in found) for pick in (min, max) for axis in (0, 1)) if found else ()
+    upright = len(set(found)) == 4 and set(found) == set(corners(box))
+    expect(upright, shape, "expected the four corners of an upright box", str(found))
     return box
-
-
-def _corners(box) -> list:
-    x_min, y_min, x_max, y_max = box
-    return [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
 
 
 # ---- reading: contacts ----
@@ -351,7 +346,7 @@ def _format_bodies(bodies: Bodies, box) -> str:
     position, velocity, angle, spin, mass, radius = bodies
     kinds = np.where(mass > 0, "free", "fixed")
     columns = range(bodies.count), kinds, mass, *position.T, *velocity.T, angle, inertia, spin, radius
-    box_body = _BOX_TEXT % (bodies.count, *(0.0,) * 8, *itertools.chain(*_corners(box)))
+    box_body = _BOX_TEXT % (bodies.count, *(0.0,) * 8, *itertools.chain(*corners(box)))
     return f"  <bodies>\n{xml_tree.fill(_BODY_TEXT, bodies.count, columns)}{box_body}  </bodies>\n"
 
 

@@ -21,8 +21,11 @@ SMALLEST_DISTANCE = 5e-13
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 """rad"""
 
-LEAST_NEAR, MOST_NEAR = 0.1, 1.0
-"""Gap below which pairs are kept as near, in smallest radii; at the most a packing has few second neighbours there."""
+LEAST_NEAR = 0.1
+"""Smallest gap below which pairs are kept as near, in smallest radii."""
+
+MOST_NEAR = 1.0
+"""Largest such gap: a packing has few second neighbours there."""
 
 NEAR_BY_MOTION = 5.0
 """Gap by the root of what circles move apart in a step, both in smallest radii. A wider one lasts for more steps, and
@@ -38,8 +41,11 @@ CROWDED = 8
 """Circles in the cell of a circle, on average, from which on circles are sorted into levels by their size: where one is
 large, cells are as wide as it is, and the others crowd in them."""
 
-LEVELS, STEP = 16, 8.0
-"""Levels of size: each holds circles down to an eighth of its largest radius, the last all that are left."""
+LEVELS = 16
+"""Most levels of size. The last holds all circles that are left."""
+
+STEP = 8.0
+"""Largest radius of a level over the smallest that it holds."""
 
 X, Y, PER_METRE, COLUMNS, ROWS, FIRST_CELL, WIDEST = range(7)
 """Columns of `Cells.grid`."""

@@ -137,6 +137,15 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, sh
     return rows
 
 
+@njit(cache=True)
+def relative_velocity(rows, v, i):
+    """(Along the normal, along the tangent) of the i-th contact, m/s. v: velocities of the solver bodies."""
+    a, b, n_x, n_y = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i, N_X], rows.data[i, N_Y]
+    d_x, d_y = v[b, V_X] - v[a, V_X], v[b, V_Y] - v[a, V_Y]
+    turn = rows.data[i, ARM_A] * v[a, V_S] + rows.data[i, ARM_B] * v[b, V_S]
+    return d_x * n_x + d_y * n_y, d_x * n_y - d_y * n_x + turn
+
+
 @njit(cache=True, error_model="numpy")
 def arms_of(radius, a, b, separation):
     """Arms of a contact over the radii of its circles, (n,), m; 0 for a wall. separation: m."""

@@ -40,23 +40,34 @@ from deep_contact.state.arrays import LARGEST_START
 from deep_contact.state.checks import check_limits, check_state
 from deep_contact.validation import expect, floats, integer, number
 
-FIRST_EPSILON, LEAST_EPSILON, LARGEST_EPSILON = 1e-4, 1e-6, 0.1
-"""ε to start with, and its bounds. A drift of λ costs a residual of ε times it, so ε has to be small; but a pivot
-divides by numbers of order ε where others hold the contact, and rounding leaves 16 digits less those of 1 / ε."""
+FIRST_EPSILON = 1e-4
+"""ε to start with."""
+
+LEAST_EPSILON = 1e-6
+"""Smallest ε: a pivot divides by numbers of order ε where others hold the contact, and rounding leaves 16 digits less
+those of 1 / ε."""
+
+LARGEST_EPSILON = 0.1
+"""Largest ε: a drift of λ costs a residual of ε times it."""
 
 FIRST_SWEEPS = NesterovPGS(sweeps=300, tolerance=None)
 """What is done to the impulses that a state holds, or that its positions tell, before the first step. More take longer
 than the pivots that they spare."""
 
-EASY, FAIR = 5, 12
-"""Pivots up to which a step lets the next one have a fifth, or a half, of its ε."""
+EASY = 5
+"""Pivots up to which a step lets the next one have a fifth of its ε."""
+
+FAIR = 12
+"""Pivots up to which it lets the next one have a half."""
 
 MOST_PIVOTS = 120
 """A step is given up after so many pivots: a larger ε is cheaper than a long path."""
 
-MOST_IDLE, MOST_RESTARTS = 30, 5
-"""After so many easy steps in a row without a smaller residual sweeps move on, and ε is the first again. Where that has
-happened so often, rounding lets it no further, and it ends."""
+MOST_IDLE = 30
+"""After so many easy steps in a row without a smaller residual, sweeps move on, and ε is the first again: a restart."""
+
+MOST_RESTARTS = 5
+"""After so many restarts it ends: rounding lets it no further."""
 
 SWEEPS_ELSEWHERE = 200
 """Sweeps of PGS that move on from where not even the largest ε leads on, or many easy steps have changed nothing."""

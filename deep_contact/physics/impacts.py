@@ -41,13 +41,17 @@ from deep_contact.physics.islands import root_of
 from deep_contact.physics.segments import moves, surface_velocity, wall_velocity
 from deep_contact.physics.step import is_asked, work_on
 
-MOST_STRIKES = 200, 50_000
-"""Rebounds of a step, per contact and, if that is more, of all. What approaches after them is left to the contact
-problem, which stops it."""
+MOST_STRIKES = 200
+"""Most rebounds of a step per contact. What approaches after them is left to the contact problem, which stops it."""
 
-SLOWEST = 1e-6, 1e-2
-"""Share of the fastest approach that a circle has had in a step below which its contacts no longer rebound in it: the
-larger of the first, and of (1 − e²) times the second, since rounds at e < 1 may halve what is left for ever."""
+ALWAYS_STRIKES = 50_000
+"""Rebounds that a step may have however few its contacts are."""
+
+SLOWEST = 1e-6
+"""Share of the fastest approach that a circle has had in a step below which its contacts no longer rebound in it."""
+
+SLOWEST_LOSSY = 1e-2
+"""The same over 1 − e², where that is more: rounds at e < 1 may halve what is left for ever."""
 
 ACROSS = 1e-3
 """Least share of the floor of `rebound` for contacts across gravity: the noise of a pile does not rebound."""
@@ -146,10 +150,10 @@ def reflect(step, contacts, impulse, drive):
         np.arange(m), np.empty(m), np.empty(m), np.empty(n, np.int64), np.zeros(n + 1), np.empty(n + 1, np.int64),
         np.empty((n, 2)), np.empty((n + 1, 3)), np.zeros(n + 1),
     )  # fmt: skip
-    slowest = max(SLOWEST[0], SLOWEST[1] * (1.0 - step.restitution * step.restitution))
+    slowest = max(SLOWEST, SLOWEST_LOSSY * (1.0 - step.restitution * step.restitution))
     head, following = contacts_of_circles(contacts, n)
     count, strikes = m, 0
-    while count > 0 and strikes < max(MOST_STRIKES[0] * m, MOST_STRIKES[1]):
+    while count > 0 and strikes < max(MOST_STRIKES * m, ALWAYS_STRIKES):
         struck = approaching(step, contacts, count, now, floor, slowest, drive)
         circles = join(step.bodies, contacts, struck, now)
         push(step, contacts, struck, circles, now)

@@ -31,9 +31,14 @@ CLOSE = 10.0
 KICK = 0.001
 """Speed, in √(g r), by which the fastest circle may become faster where carried impulses stay."""
 
-RELAXED, RESTS = 2000, (1e-4, 0.02)
-"""Most iterations of the convex relaxation where nothing moves yet; and the speeds over what gravity gives in a step at
-which these end, and up to which what they find is a pile at rest."""
+RELAXED = 2000
+"""Most iterations of the convex relaxation where nothing moves yet."""
+
+ENDS = 1e-4
+"""Speed at which these iterations end, over what gravity gives in a step."""
+
+RESTS = 0.02
+"""Speed up to which what they find is a pile at rest, likewise."""
 
 
 def load_of(state: State) -> tuple[int, int]:
@@ -103,7 +108,7 @@ def with_a_past(state: StateWithContacts) -> StateWithContacts:
 def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:
     """(λ_n, λ_t), (m,), N·s, from given ones: those at which a state rests (`relaxation`), or well solved ones."""
     gained, speed = state.dt * math.hypot(*state.world.gravity), math.inf
-    ends, rests = (share * gained for share in RESTS)
+    ends, rests = ENDS * gained, RESTS * gained
     if np.mean(state.bodies.velocity**2) < gained**2:
         normal, tangent, speed = at_rest(problem, normal, tangent, iterations=RELAXED, speed=ends)
     if speed > rests:

@@ -18,14 +18,8 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import (
-    ARM_A,
-    ARM_B,
-    BODY_A,
-    BODY_B,
     CONTRACT,
     INVERSE_MASS,
-    N_X,
-    N_Y,
     NORMAL,
     NORMAL_MASS,
     TANGENT,
@@ -34,6 +28,7 @@ from deep_contact.physics.contact_solver import (
     V_Y,
     Rows,
     apply_impulses,
+    relative_velocity,
 )
 
 LOOKS = 25
@@ -105,7 +100,7 @@ def approach(rows, friction, v, step, trial, old):
     """
     body, data, along, square = rows.body, rows.data, 0.0, 0.0
     for i in range(body.shape[0]):
-        g_n, g_t = relative_velocity(body, data, v, i)
+        g_n, g_t = relative_velocity(rows, v, i)
         scaled = step * data[i, NORMAL_MASS]
         p_n, p_t = nearest_in_cone(trial[i, NORMAL] - scaled * g_n, trial[i, TANGENT] - scaled * g_t, friction)
         d_n, d_t = p_n - trial[i, NORMAL], p_t - trial[i, TANGENT]
@@ -146,20 +141,11 @@ def largest_eigenvalue(rows, friction, v):
         apply_impulses(change, v, friction)
         square = np.sum(x * impulse)
         for i in range(m):
-            g_n, g_t = relative_velocity(rows.body, rows.data, v, i)
+            g_n, g_t = relative_velocity(rows, v, i)
             x[i, NORMAL], x[i, TANGENT] = g_n, g_t
         largest = math.sqrt(np.sum(x * x * rows.data[:, NORMAL_MASS : NORMAL_MASS + 1]) / square)
         x /= largest
     return SPARE * largest
-
-
-@njit(cache=True)
-def relative_velocity(body, data, v, i):
-    """(Along the normal, along the tangent) of the i-th contact, m/s."""
-    a, b, n_x, n_y = body[i, BODY_A], body[i, BODY_B], data[i, N_X], data[i, N_Y]
-    d_x, d_y = v[b, V_X] - v[a, V_X], v[b, V_Y] - v[a, V_Y]
-    turn = data[i, ARM_A] * v[a, V_S] + data[i, ARM_B] * v[b, V_S]
-    return d_x * n_x + d_y * n_y, d_x * n_y - d_y * n_x + turn
 
 
 @njit(cache=True, error_model="numpy", fastmath=CONTRACT)

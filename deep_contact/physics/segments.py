@@ -31,11 +31,12 @@ _ROUNDING = 1e-9
 """A path that crosses the line this far beyond an end, in lengths of the segment, crosses the segment: at a joint it
 must not slip between two. And how far from 1 the cosine of a normal across the segment may be."""
 
-ON, BEHIND = 1e-4, 0.02
-"""A surface hides an end that stands out of it by at most the first. It hides one that lies behind it, or in a gap
-beyond its own end, by at most the second. Both are in reaches of the circle: such a step is a fiftieth of the slop, and
-in such a gap a circle sinks half of that.
-"""
+ON = 1e-4
+"""A surface hides an end that stands out of it by at most this, in reaches of the circle: a fiftieth of the slop."""
+
+BEHIND = 0.02
+"""It hides one that lies behind it, or in a gap beyond its own end, by at most this, likewise: in such a gap a circle
+sinks a hundredth of the slop."""
 
 
 class Segments(NamedTuple):

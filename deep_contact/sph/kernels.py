@@ -28,7 +28,12 @@ _AT_EDGE = math.exp(-GAUSSIAN_DECAY)
 _GAUSSIAN_2D = GAUSSIAN_DECAY / (math.pi * (1.0 - _AT_EDGE))
 _WHOLE = math.sqrt(math.pi) * math.erf(math.sqrt(GAUSSIAN_DECAY)) / GAUSSIAN_DECAY**1.5
 _GAUSSIAN_3D = 1.0 / (math.pi * (_WHOLE - 2.0 * _AT_EDGE / GAUSSIAN_DECAY))
-_SMALLEST_H, _LARGEST_H = 1e-50, 1e50
+
+_SMALLEST_H = 1e-50
+"""Supports below it, m, are refused: powers of them are no floats."""
+
+_LARGEST_H = 1e50
+"""Supports above it, m, likewise."""
 
 
 @njit(cache=True, error_model="numpy")

@@ -153,6 +153,12 @@ def body_name(body: int, circles: int) -> int | str:
     return body if beyond < 0 else SIDES[beyond] if beyond < 4 else f"segment {beyond - 4}"
 
 
+def corners(box: tuple) -> list[tuple[float, float]]:
+    """Of a box, counter-clockwise from (x_min, y_min), so that edge k is wall k."""
+    x_min, y_min, x_max, y_max = box
+    return [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
+
+
 def no_contacts() -> Contacts:
     """Contacts of a state that has none."""
     return Contacts(*(np.zeros(0, np.int64),) * 2, *(np.zeros((0, 2)),) * 2, *(np.zeros(0),) * 5)

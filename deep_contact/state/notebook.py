@@ -10,8 +10,11 @@ import numpy as np
 WIDTH = 260
 """Of a picture, pixels; its height is at most twice that."""
 
-MOST_CIRCLES, MOST_ROWS = 5000, 10
-"""A notebook keeps its pictures: of more circles none is made, and a table of arrays has so many rows at most."""
+MOST_CIRCLES = 5000
+"""Of more circles no picture is made: a notebook keeps its pictures."""
+
+MOST_ROWS = 10
+"""Most rows of a table of arrays."""
 
 
 def shown(title: str, rows: Iterable[Sequence], picture: str = "", header: Sequence[str] = ()) -> str:

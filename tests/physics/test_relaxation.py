@@ -7,10 +7,10 @@ from scipy.optimize import nnls
 
 import deep_contact as dc
 from deep_contact.physics import load, relaxation
-from deep_contact.physics.contact_solver import apply_impulses
+from deep_contact.physics.contact_solver import apply_impulses, relative_velocity
 from deep_contact.physics.engine import step_problem
 from deep_contact.physics.load import with_a_past
-from deep_contact.physics.relaxation import at_rest, largest_eigenvalue, relative_velocity
+from deep_contact.physics.relaxation import at_rest, largest_eigenvalue
 from deep_contact.studies.piles import packed_pile, rms_speed, without_past
 
 
@@ -84,7 +84,7 @@ def test_the_bound_of_the_steps_is_no_less_than_the_largest_eigenvalue(scene):
     for impulse in np.eye(2 * len(rows.body)).reshape(-1, len(rows.body), 2):
         change = v * [0, 0, 0, 1]
         apply_impulses(rows._replace(impulse=impulse), change, problem.friction)
-        columns.append([relative_velocity(rows.body, rows.data, change, i) for i in range(len(rows.body))])
+        columns.append([relative_velocity(rows, change, i) for i in range(len(rows.body))])
     scaled = np.repeat(rows.data[:, 2], 2)[:, None] * np.reshape(columns, (2 * len(rows.body), -1)).T
     assert largest_eigenvalue(rows, problem.friction, v.copy()) >= np.linalg.eigvals(scaled).real.max()
 

@@ -10,8 +10,11 @@ from deep_contact.cnn.far_field import COARSENING, corrected, describe, nodes_of
 from deep_contact.cnn.through_solver import errors_after, loss_and_gradient, solved_problem
 from deep_contact.cnn.training.network import NetworkRun
 
-_LEARN_FROM, _JUDGE_BY = 0.02, 0.05
-"""Least relative error of Builtin's start in the states of the training and of the validation side."""
+_LEARN_FROM = 0.02
+"""Least relative error of Builtin's start in states that are learned from."""
+
+_JUDGE_BY = 0.05
+"""Least relative error of Builtin's start in states of the validation side."""
 
 
 class FarFieldRun(NetworkRun):

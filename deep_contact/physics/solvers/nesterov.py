@@ -15,8 +15,11 @@ from deep_contact.physics.solvers.nncg import make_directions
 from deep_contact.physics.solvers.pgs import PGS
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
 
-FIRST_MOMENTUM, MAX_MOMENTUM = 0.9, 0.99
-"""Bound of the momentum β at the first sweep, and the largest bound."""
+FIRST_MOMENTUM = 0.9
+"""Bound of the momentum β at the first sweep."""
+
+MAX_MOMENTUM = 0.99
+"""Largest bound of the momentum."""
 
 MOMENTUM_WINDOW = 5
 """Sweeps between two adaptations of the bound."""
