@@ -158,6 +158,7 @@ def _add_trade(parser: argparse.ArgumentParser) -> None:
 def _simulate(args) -> int:
     import deep_contact as dc
     from deep_contact.physics.solvers import describe
+    from deep_contact.state.notebook import counted
     from deep_contact.validation import expect
 
     out = Path(args.out or "")
@@ -170,8 +171,8 @@ def _simulate(args) -> int:
     record = args.every if out.suffix in (".h5", ".gif", ".mp4") else None
     run = dc.simulate(scene, steps=args.steps, dt=args.dt, record=record, **_method(args, scene))
     state = run.state
-    what = f"{state.bodies.count} circles, {args.steps} steps of {state.dt:g} s, {describe(state.solver)}"
-    print(f"{state.name}: {what}")
+    run_of = f"{counted(state.bodies.count, 'circle')}, {counted(args.steps, 'step')} of {state.dt:g} s"
+    print(f"{state.name}: {run_of}, {describe(state.solver)}")
     if args.steps:
         is_fixed = state.solver.tolerance is None  # then to be done with all sweeps is no failure
         why = "a fixed number of sweeps" if is_fixed else run.status[-1].replace("_", " ")
