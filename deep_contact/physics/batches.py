@@ -283,10 +283,8 @@ def place_block(step, contacts, plan, tiles, k, rows, is_built, drive):
 
 
 @njit(cache=True)
-def move_points(plan, tiles, dt, drive):
-    """Let the points that contacts touch on segments go on with these for Δt, in place. drive: of the step."""
-    if drive is None:
-        return
+def move_points(plan, tiles, dt):
+    """Let the points that contacts touch on segments go on with these for Δt, in place."""
     v, centre = tiles.solver_bodies, tiles.centre
     for row in range(plan.own[0], plan.count[ROWS]):
         centre[row, 0] += dt * v[row, V_X]

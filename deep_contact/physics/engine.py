@@ -68,13 +68,15 @@ def advance(setup, contacts, motion, sleep, log, drive):
     A step has as many substeps as the solver asks for. Motion may divide these further (`substeps`). Code that the
     scene does not need is not compiled: that for segments, restitution, motion and sleep, and that which stops fast
     circles. Where a circle becomes fast and that code is missing, the call ends before the substep. The next call has
-    the code, and goes on there.
+    the code, and goes on there. What is asked here, and not where it is used, would otherwise be handed on as a result:
+    that counts references to all of its arrays.
     Returns the contacts found, in memory that the next call writes into, and `StepLog.received`.
     setup: `StepSetup`. motion, drive: of its step; motion is None where it has nothing rare. sleep: `SleepMemory`, None
     where nothing may. log: `StepLog`, filled.
     """
     step, memory = setup.step, setup.memory
-    step = with_segments(step, moved_segments(step.segments, drive, 0.0), drive)
+    if drive is not None:
+        step = with_segments(step, moved_segments(step.segments, drive, 0.0))
     part, turn, received = step, 0, log.received
     for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
         if sleeping.all_asleep(sleep, drive):
@@ -84,8 +86,9 @@ def advance(setup, contacts, motion, sleep, log, drive):
                 received = log_impulses(log, received, contacts, impulse, n)
             log.progress[DONE] = j + 1
             continue
-        part = part_by_motion(step, motion, part, memory.cells, drive)
-        depart(step, motion, part, contacts, drive)
+        if motion is not None:
+            part = part_by_motion(step, part, memory.cells, drive)
+            depart(step, part, contacts, drive)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
             is_whole, contacts, received, segments = do_part(
@@ -93,8 +96,10 @@ def advance(setup, contacts, motion, sleep, log, drive):
             )
             if not is_whole:
                 return contacts, received
-            part, step = with_segments(part, segments, drive), with_segments(step, segments, drive)
-        rejoin(step, motion, part, contacts, drive)
+            if drive is not None:
+                part, step = with_segments(part, segments), with_segments(step, segments)
+        if motion is not None:
+            rejoin(step, part, contacts, drive)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
@@ -125,9 +130,10 @@ def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive)
     sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, memory.workspace)
     store_impulses(rows, active, part.parts)
     sleeping.store_awake_impulses(active, contacts, sleep)
-    log_work(part, active, solver_bodies, log, drive)
     # Positions: of segments, of circles, and their correction.
-    segments = moved_segments(segments, drive, part.dt)
+    if drive is not None:
+        log_work(part, active, solver_bodies, log)
+        segments = moved_segments(segments, drive, part.dt)
     before = positions_before(bodies, segments)
     if not integrate_positions(bodies, solver_bodies, part, segments, drive):
         return False, contacts, received, segments

@@ -251,11 +251,9 @@ def carried(line, wall, s, dt, x, y):
     return line[s, 0] + along * e_x - across * e_y, line[s, 1] + along * e_y + across * e_x
 
 
-@njit(inline="always")
+@njit(cache=True, error_model="numpy")
 def moved_segments(segments, drive, dt):
-    """The segments after Δt, in a grid of where they are then; their lines move in place. drive: of the step."""
-    if drive is None:
-        return segments
+    """The segments after Δt, in a grid of where they are then; their lines move in place. drive: `step.Drive`."""
     if drive.moving.shape[0] == 0:
         return segments
     line = segments.line

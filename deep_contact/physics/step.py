@@ -165,24 +165,20 @@ def log_part(log, k, contacts, sweeps, theta, relaxations):
     log.progress[LAST_SWEEPS] = sweeps
 
 
-@njit(inline="always")
-def with_segments(step, segments, drive):
-    """The input of a step with its segments elsewhere; itself where nothing is driven. drive: of the step."""
-    if drive is None:
-        return step
+@njit(cache=True)
+def with_segments(step, segments):
+    """The input of a step with its segments elsewhere."""
     return StepInput(
         step.bodies, step.box, segments, step.gravity, step.friction, step.restitution, step.dt, step.parts,
         step.scales, step.motion, step.drive,
     )  # fmt: skip
 
 
-@njit(inline="always")
-def log_work(step, contacts, solver_bodies, log, drive):
-    """Log the work of a part: that of its solved impulses and that of pushes. drive: of the step."""
-    if drive is not None:
-        log.work[0] += work_on(step, contacts, impulses_of(contacts, 1.0 / step.parts)) + work_of_push(
-            step, solver_bodies
-        )
+@njit(cache=True, error_model="numpy")
+def log_work(step, contacts, solver_bodies, log):
+    """Log the work of a part that has a drive: that of its solved impulses, and that of pushes."""
+    of_walls = work_on(step, contacts, impulses_of(contacts, 1.0 / step.parts))
+    log.work[0] += of_walls + work_of_push(step, solver_bodies)
 
 
 @njit(cache=True, error_model="numpy")

@@ -33,28 +33,24 @@ def part_of(step, parts):
 
 
 @njit(inline="always")
-def part_by_motion(step, motion, part, cells, drive):
-    """The part into which motion divides the next substep; `part` where it is as before, and where motion is None."""
-    if motion is None:
-        return part
+def part_by_motion(step, part, cells, drive):
+    """The part into which motion divides the next substep; `part` where it is as before."""
     parts = parts_of(step, cells, drive)
     return part if parts * step.parts == part.parts else part_of(step, parts)
 
 
 @njit(inline="always")
-def depart(step, motion, part, contacts, drive):
+def depart(step, part, contacts, drive):
     """Let circles in flight go on in parts of a substep, in place on their velocities. contacts: at their positions."""
-    if motion is not None:
-        if part.parts > step.parts and step.restitution > 0.0:
-            shift_flights(step.bodies, contacts, step.gravity, step.dt - part.dt, drive)
+    if part.parts > step.parts and step.restitution > 0.0:
+        shift_flights(step.bodies, contacts, step.gravity, step.dt - part.dt, drive)
 
 
 @njit(inline="always")
-def rejoin(step, motion, part, contacts, drive):
+def rejoin(step, part, contacts, drive):
     """`depart` taken back, after the parts."""
-    if motion is not None:
-        if part.parts > step.parts and step.restitution > 0.0:
-            shift_flights(step.bodies, contacts, step.gravity, part.dt - step.dt, drive)
+    if part.parts > step.parts and step.restitution > 0.0:
+        shift_flights(step.bodies, contacts, step.gravity, part.dt - step.dt, drive)
 
 
 @njit(cache=True, error_model="numpy")

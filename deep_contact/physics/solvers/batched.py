@@ -187,16 +187,20 @@ def advance_in_batches(setup, contacts, room, log, drive):
     """`engine.advance` for `BatchedPGS`. room: a `Room`, which each call leaves to the next."""
     step, options = setup.step, setup.options
     room.contacts, room.memory, room.received = contacts, setup.memory, log.received
-    step = with_segments(step, moved_segments(step.segments, drive, 0.0), drive)
+    if drive is not None:
+        step = with_segments(step, moved_segments(step.segments, drive, 0.0))
     part, turn, buffers = step, 0, room.memory.contacts
     for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
-        part = part_by_motion(step, step.motion, part, room.memory.cells, drive)
-        depart(step, step.motion, part, room.contacts, drive)
+        if step.motion.most > 1:
+            part = part_by_motion(step, part, room.memory.cells, drive)
+            depart(step, part, room.contacts, drive)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
             segments = do_part_in_batches(part, options, room, buffers[turn], log, j // step.parts, drive)
-            part, step = with_segments(part, segments, drive), with_segments(step, segments, drive)
-        rejoin(step, step.motion, part, room.contacts, drive)
+            if drive is not None:
+                part, step = with_segments(part, segments), with_segments(step, segments)
+        if step.motion.most > 1:
+            rejoin(step, part, room.contacts, drive)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
@@ -231,10 +235,11 @@ def do_part_in_batches(part, options, room, buffer, log, k, drive):
         theta[sweeps - 1] = np.nan
     for block in range(plan.count[BLOCKS]):
         batches.store_block(plan, tiles, solved, block, part.parts)
-    log_work(part, solved, velocities, log, drive)
     # Positions: of segments, of circles, and their correction.
-    batches.move_points(plan, tiles, part.dt, drive)
-    segments = moved_segments(segments, drive, part.dt)
+    if drive is not None:
+        log_work(part, solved, velocities, log)
+        batches.move_points(plan, tiles, part.dt)
+        segments = moved_segments(segments, drive, part.dt)
     before = positions_before(bodies, segments)
     integrate_positions(bodies, velocities, part, segments, drive)
     correct_positions_in_batches(plan, tiles, bodies, scales, options.position_sweeps)
