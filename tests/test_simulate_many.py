@@ -58,7 +58,7 @@ def test_scenes_run_on_so_many_threads_at_a_time(monkeypatch):
 def test_the_others_stop_where_one_fails(monkeypatch):
     begun, ended = threading.Event(), []
 
-    def run(state, *_, stopped):
+    def run(state, options, stopped):
         if state is SCENES[0]:
             begun.wait(30)
             raise ValueError("bad")
