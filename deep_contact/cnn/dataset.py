@@ -17,11 +17,8 @@ from deep_contact.state import StateWithContacts
 from deep_contact.validation import integer, one_of
 
 PHASES = ("impact", "settling", "rest")
-SETTLING = 0.5
-"""Relative error of Builtin's start below which a state is settling."""
-
-REST = 0.05
-"""Relative error of Builtin's start below which it is at rest."""
+SETTLING, REST = 0.5, 0.05
+"""Relative errors of Builtin's start below which a state is settling, or at rest."""
 
 _reading = Lock()
 """Held while a store reads, and changes what it keeps."""
