@@ -175,18 +175,9 @@ class Simulator:
         sleep: bool = False,
         push=None,
     ):
-        options = RunOptions(solver=solver, accuracy=accuracy, warm_start=warm_start, sleep=sleep, push=push)
-        self._begin(state, options)
-
-    @classmethod
-    def _of(cls, state: State, options: RunOptions) -> Simulator:
-        simulator = cls.__new__(cls)
-        simulator._begin(state, options)
-        return simulator
-
-    def _begin(self, state: State, options: RunOptions) -> None:
-        is_anew = options.solver is None and getattr(state, "solver", None) is None
-        self._options, self._steps = options._replace(is_anew=is_anew), None
+        how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep, "push": push}
+        is_anew = solver is None and getattr(state, "solver", None) is None
+        self._options, self._steps = RunOptions(**how, is_anew=is_anew), None
         self._go_on(*_prepared(state, self._options))
 
     def step(self, steps: int = 1) -> None:
@@ -579,7 +570,10 @@ def simulate(
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
     all numbers; the run can be interrupted.
     """
-    options = RunOptions(steps, dt, solver, warm_start, accuracy, sleep, push, record, forces, until, on_step)
+    options = RunOptions(
+        steps=steps, dt=dt, solver=solver, warm_start=warm_start, accuracy=accuracy, sleep=sleep, push=push,
+        record=record, forces=forces, until=until, on_step=on_step,
+    )  # fmt: skip
     return _simulate(state, options)
 
 
@@ -597,11 +591,11 @@ class RunOptions(NamedTuple):
     forces: bool = False
     until: Callable | None = None
     on_step: Callable | None = None
-    is_anew: bool = False  # without solver and preset, "fast" chooses the solver, even where a later state has one
+    is_anew: bool = False  # of a `Simulator` that was given no solver: one is chosen again when its scene is changed
 
     @property
     def how(self) -> tuple:
-        """What the state that a run has led to depends on, but for `steps`, `dt` and the push."""
+        """The options that have to be the same for a call to go on with the run of the call before (`_LastRun`)."""
         return self.solver, self.accuracy, self.warm_start, self.sleep
 
 
@@ -616,7 +610,9 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
         state = with_time_step(state, options.dt)
     run = _last_run.take(state, options.how) if options.push is None else None
     if run is None:
-        run = Simulator._of(state, options)
+        solver, accuracy, warm_start, sleep = options.how
+        how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep}
+        run = Simulator(state, **how, push=options.push)
     is_driven, every, done = record is not None and run._inputs.drive is not None, record or steps + 1, 0
     log = make_log(steps, 4 + len(state.world.segments) if forces else 0, state.bodies.count if is_driven else 0)
     frames, loads = [] if record is None else [run.state], [log.loads.copy()]
@@ -719,7 +715,10 @@ def simulate_many(
     start = warm_start_of(warm_start)
     fits, states = isinstance(start, (Builtin, NoStart)), list(states)
     expect(fits, f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
-    options = RunOptions(steps, dt, solver, start, accuracy, sleep, record=record, forces=forces)
+    options = RunOptions(
+        steps=steps, dt=dt, solver=solver, warm_start=start, accuracy=accuracy, sleep=sleep, record=record,
+        forces=forces,
+    )  # fmt: skip
     if jobs is not None:
         # Several a task: a scheduler takes as long for a task as a small scene does.
         numbered, size = list(enumerate(states)), max(1, len(states) // (TASKS * max(1, workers(jobs))))

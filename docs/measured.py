@@ -136,8 +136,11 @@ def cells_outside() -> int:
 
 
 def costs_outside() -> list[float]:
-    """The median m of cost over the predicted one, and the least and most of that over m: of scenes without segments,
-    where walls drag, of still walls, of pistons. The check ran on another day than the study, on which all was slower."""
+    """The median of cost over the predicted cost, and its least and most divided by this median.
+
+    Of scenes without segments, with walls that drag, with still walls, and with pistons. The check ran on a slower day
+    than the study, so that the median says how much slower.
+    """
     places = {"drum": "drag", "belt": "drag", "hopper": "still", "terrain": "still", "piston": "piston"}
     found = {"": [], "drag": [], "still": [], "piston": []}
     for row in stored("run_tradeoff_verify")["data"]["times"]:
@@ -477,10 +480,10 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "friction, heights, densities, time steps and restitutions, a silo, a low dam, a thinner gas, other drums, "
             'terrains and hoppers, a belt, a faster pushing wall. All tolerances were kept in {} cells by "preview", {} by "fast", {} by "balanced", {} by '
             '"accurate" and {} by "reference"; if a miss counts only beyond the interval of the seeds, in {}, {}, {}, {} '
-            "and {}. On the day of this check the machine was slower than in the study: the median cost was {:.2f} times the "
-            "predicted one. Over this median, costs were {:.2f} to {:.2f} where scenes have no segments, {:.2f} to {:.2f} "
-            "in drums and on a belt, {:.2f} to {:.2f} in hoppers and on terrain, and {:.2f} to {:.2f} where a wall "
-            "pushes",
+            "and {}. The median cost was {:.2f} times the predicted one, since the machine was slower than on the day of the "
+            "study. Divided by this median, the costs were {:.2f} to {:.2f} times the predicted ones where scenes have no "
+            "segments, {:.2f} to {:.2f} times in drums and on a belt, {:.2f} to {:.2f} times in hoppers and on terrain, "
+            "and {:.2f} to {:.2f} times where a wall pushes",
             lambda: [cells_outside(), *verified(), *verified("within"), *costs_outside()],
         ),
         (

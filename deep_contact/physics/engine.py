@@ -68,8 +68,9 @@ def advance(setup, contacts, motion, sleep, log, drive):
     A step has as many substeps as the solver asks for. Motion may divide these further (`substeps`). Code that the
     scene does not need is not compiled: that for segments, restitution, motion and sleep, and that which stops fast
     circles. Where a circle becomes fast and that code is missing, the call ends before the substep. The next call has
-    the code, and goes on there. What is asked here, and not where it is used, would otherwise be handed on as a result:
-    that counts references to all of its arrays.
+    the code, and goes on there.
+    Whether motion divides a step, and whether anything is driven, is asked in this function. A function that returned
+    its argument unchanged would count references to some fifty arrays.
     Returns the contacts found, in memory that the next call writes into, and `StepLog.received`.
     setup: `StepSetup`. motion, drive: of its step; motion is None where it has nothing rare. sleep: `SleepMemory`, None
     where nothing may. log: `StepLog`, filled.

@@ -51,7 +51,8 @@ SLOWEST = 1e-6
 """Share of the fastest approach that a circle has had in a step below which its contacts no longer rebound in it."""
 
 SLOWEST_LOSSY = 1e-2
-"""The same over 1 − e², where that is more: rounds at e < 1 may halve what is left for ever."""
+"""This number times 1 − e² is the share in place of `SLOWEST` where it is larger. Without it, rounds at e < 1 could go
+on for ever, each halving the approach that is left."""
 
 ACROSS = 1e-3
 """Least share of the floor of `rebound` for contacts across gravity: the noise of a pile does not rebound."""

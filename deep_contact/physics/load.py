@@ -35,10 +35,10 @@ RELAXED = 2000
 """Most iterations of the convex relaxation where nothing moves yet."""
 
 ENDS = 1e-4
-"""Speed at which these iterations end, over what gravity gives in a step."""
+"""Speed below which these iterations end, as a share of what gravity gives in a step."""
 
 RESTS = 0.02
-"""Speed up to which what they find is a pile at rest, likewise."""
+"""Speed up to which the iterations have found a pile at rest, as the same share."""
 
 
 def load_of(state: State) -> tuple[int, int]:

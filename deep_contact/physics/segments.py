@@ -32,11 +32,12 @@ _ROUNDING = 1e-9
 must not slip between two. And how far from 1 the cosine of a normal across the segment may be."""
 
 ON = 1e-4
-"""A surface hides an end that stands out of it by at most this, in reaches of the circle: a fiftieth of the slop."""
+"""A surface hides an end of another segment that stands out of it by at most this, in reaches of the circle. That is a
+fiftieth of the slop."""
 
 BEHIND = 0.02
-"""It hides one that lies behind it, or in a gap beyond its own end, by at most this, likewise: in such a gap a circle
-sinks a hundredth of the slop."""
+"""A surface hides an end that lies behind it, or in a gap beyond the surface's own end, by at most this, in reaches of
+the circle. In such a gap a circle sinks a hundredth of the slop."""
 
 
 class Segments(NamedTuple):

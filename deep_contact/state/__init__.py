@@ -25,6 +25,7 @@ import numpy as np
 
 from deep_contact import constants
 from deep_contact.state import notebook
+from deep_contact.state.arrays import LIMITS as LIMITS
 from deep_contact.state.arrays import SIDES, Bodies, Contacts, no_contacts
 from deep_contact.state.checks import (
     beyond_limits,

@@ -196,7 +196,7 @@ def check_state(state: State) -> State:
 
 def check_types(state) -> State:
     """The state itself, if it, its parts and its settings are of their types. Raises ValueError naming the part."""
-    from deep_contact.state import State, World  # which are checked by this module as they are made
+    from deep_contact.state import State, World  # not at the top: that module imports this one
 
     if not isinstance(state, State):
         raise ValueError(f"state: expected a State, as of dc.circles_in_box or dc.read_state, got {brief(state)}")
