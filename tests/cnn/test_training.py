@@ -126,6 +126,17 @@ def test_run_of_fixed_rates_can_be_prolonged(data, tmp_path):
     assert without_time(longer.history) == without_time(whole.history)
 
 
+def test_half_precision_learns_alike(data, tmp_path):
+    # bfloat16 has 8 binary digits, 0.4 %.
+    runs = [quietly(tiny(epochs=1, precision=p), data, tmp_path / p) for p in ("float32", "mixed_bfloat16")]
+    losses = [run.history[0]["validation_loss"] for run in runs]
+    assert losses[0] != losses[1]
+    assert losses[0] == pytest.approx(losses[1], rel=0.02)
+    layers = runs[1].model.network.layers
+    assert {layer.compute_dtype for layer in layers} == {"float32"}  # of the model file, as of any other
+    assert {str(weight.dtype) for layer in layers for weight in layer.weights} == {"float32"}
+
+
 def test_callbacks_of_keras_see_the_history_and_may_stop_the_run(data, tmp_path, capfd):
     seen = []
     callbacks = [
@@ -218,6 +229,12 @@ def test_settings_of_the_shipped_models_are_known():
 def test_bad_settings_are_named(field, value):
     with pytest.raises(ValueError, match=field):
         TrainingConfig(**{field: value})
+
+
+@pytest.mark.parametrize(("architecture", "value"), [("thesis", "float16"), ("far field", "mixed_bfloat16")])
+def test_precision_that_a_network_cannot_have_is_named(architecture, value):
+    with pytest.raises(ValueError, match=f"precision of {architecture}: expected .*, got '{value}'"):
+        TrainingConfig(architecture=architecture, precision=value)
 
 
 # ---- scripts/train.py, scripts/model_cards.py ----

@@ -34,12 +34,15 @@ class TrainingConfig:
     states_per_epoch: int | None = None  # drawn for an epoch; None: all
     validation_states: int = 1000  # about so many
     fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)  # of the simulations: train, validation, test
+    precision: str = "float32"  # or "mixed_bfloat16", of the layers of a network on images; its weights are float32
     seed: int = 0
 
     def __post_init__(self):
         one_of("architecture", self.architecture, CONFIGS)
         one_of("optimizer", self.optimizer, ("sgd", "nesterov", "adam"))
         one_of("schedule", self.schedule, SCHEDULES)
+        precisions = ("float32",) if self.architecture == "far field" else ("float32", "mixed_bfloat16")
+        one_of(f"precision of {self.architecture}", self.precision, precisions)
         for name in ("epochs", "batch_size", "validation_states", "states_per_epoch"):
             if getattr(self, name) is not None or name != "states_per_epoch":
                 integer(name, getattr(self, name), 1)

@@ -148,7 +148,8 @@ def masked_squared_error(y_true, y_pred):
     The mask is on the label: nodes without a label count in the mean, with an error of 0 for any prediction.
     """
     ops = keras.ops
-    return ops.mean(ops.where(ops.not_equal(y_true, 0.0), ops.square(y_pred - y_true), 0.0), axis=-1)
+    off = ops.cast(y_pred, y_true.dtype) - y_true  # predictions have the layers' precision
+    return ops.mean(ops.where(ops.not_equal(y_true, 0.0), ops.square(off), 0.0), axis=-1)
 
 
 JUDGED = 200
@@ -165,6 +166,8 @@ class ImageRun(NetworkRun):
         self.box = worlds[0].box
         sides = store.states(split.train), store.states(split.validation)
         super().__init__(config, store, *sides, network, shape=next(iter(boxes)))
+        for layer in self.model.layers:
+            layer.dtype_policy = config.precision
         self.judged = [store.state(*state) for state in evenly(self.validation, JUDGED).tolist()]
         self.learned = LearnedModel(source=self.model, spec=self.spec)
         metrics = [masked_squared_error]  # without the weights' penalty, which the loss has
