@@ -71,7 +71,8 @@ def finished(function: Callable, items: Iterable, *, jobs: int | Executor = 1) -
     Or an executor, which stays open. `function` has to be found by import (a script's own functions are), and items and
     results have to be picklable. The first error, an interrupt, or closing the iterator cancels the tasks that have not
     begun, and ends local processes at once; use `contextlib.closing` where the loop itself may raise. Results are
-    handed on and not kept. Raises ValueError for other `jobs`.
+    handed on and not kept. Raises ValueError for other `jobs`, and RuntimeError where a local process ends before its
+    task is done.
     """
     items = list(items)
     if not isinstance(jobs, Executor) and (integer("jobs", jobs, 1) == 1 or len(items) < 2):

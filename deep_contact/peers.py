@@ -1,13 +1,13 @@
 """The same scene in other engines: Box2D 2.3 (`Box2D`), Chipmunk (`pymunk`) and Box2D v3 (`pyb2d3`).
 
 Tests use them as oracles, benchmarks and studies for comparison. An adapter is built from a `State`: its circles with
-their masses, its box, segments, gravity, friction and restitution. It has `step(dt, sweeps, position_sweeps)`, `run`
-for many steps, `bodies()` and `contact_count()`.
+their masses, its box, segments that stand still, gravity, friction and restitution. It has `step(dt, sweeps,
+position_sweeps)`, `run` for many steps, `bodies()` and `contact_count()`.
 
 Slop, thresholds and largest speeds are the engines' own, which are absolute lengths and speeds. Only Chipmunk's slop
 and the walls' radius are set by the adapters, and follow the scene (`State.scales`). Sleeping and continuous collision
 are off, warm starting is on. Contacts are not passed on: the first step starts from zero. An adapter raises ImportError
-where its package is not installed, and ValueError for a bad state.
+where its package is not installed, and ValueError for a bad state, for segments that move, and for fixed circles.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from deep_contact.physics.engine import contacts_of
 from deep_contact.state import State, World
 from deep_contact.state.arrays import Bodies, corners
 from deep_contact.state.checks import check_bodies, check_state
+from deep_contact.validation import brief, expect
 
 
 class _Peer:
@@ -47,6 +48,10 @@ class _Peer:
             message = f"{self.package} is not installed; it comes with `pip install deep-contact[peers]`"
             raise ImportError(message) from error
         self._state = check_state(state)
+        world, bodies = state.world, state.bodies
+        still = not np.any(world.segment_velocities)
+        expect(still, f"segment_velocities: expected none for {self.name}, got {brief(world.segment_velocities)}")
+        expect(not bodies.is_fixed.any(), f"mass: expected no fixed circles for {self.name}, got {brief(bodies.mass)}")
 
     def _circles(self) -> Iterator[tuple]:
         """Body by body: position, velocity, angle, spin, mass, radius as Python floats."""

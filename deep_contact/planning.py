@@ -33,7 +33,8 @@ class Choice(NamedTuple):
 class Plan:
     """What a run does with a scene, made to be printed. choices: name of a part of the model -> `Choice`.
 
-    us: what a step costs, μs, at most for what is solved to a tolerance; None where no preset was asked for.
+    us: what a step costs, μs, at most for what is solved to a tolerance; None where the caller or the state gave the
+    solver.
     """
 
     scene: str
@@ -73,7 +74,7 @@ def plan(
     """
     scene = ready(scene)
     solver, start, name, decision = method_of(scene, solver, warm_start, accuracy, sleep=sleep)
-    stiff = _stiffness(decision.stiff if decision else stiffness(scene), solver)
+    stiff = _stiffness(stiffness(scene), solver)
     choices = _of_the_scene(scene, solver) | _of_the_run(scene, solver, start, sleep) | {"solving stiff piles": stiff}
     of_scene = {"scene": scene.name, "n_bodies": scene.bodies.count}
     return Plan(**of_scene, solver=solver, warm_start=name, us=decision and decision.us, choices=choices)
@@ -85,9 +86,12 @@ def _of_the_scene(scene: State, solver) -> dict[str, Choice]:
     if friction == 0 and tangents:
         has_start = scene.contacts.tangent_start.any()
         why += ", but the state starts from tangent impulses" if has_start else f", but {describe(solver)} needs them"
-    count, moving = len(scene.world.segments), np.count_nonzero(scene.world.surface_speeds)
-    surfaces = f"the world has {count or 'none'}" + (f", and {moving} surfaces move" if moving else "")
-    return {"tangent rows and spin": Choice(tangents, why), "static segments": Choice(count > 0, surfaces)}
+    world, count = scene.world, len(scene.world.segments)
+    moving = np.count_nonzero(np.reshape(world.segment_velocities, (-1, 4)).any(axis=1))
+    surfaces = np.count_nonzero(world.surface_speeds)
+    segments = f"the world has {count or 'none'}" + (f", {moving} of them move" if moving else "")
+    segments += f", {surfaces} have a surface that moves" if surfaces else ""
+    return {"tangent rows and spin": Choice(tangents, why), "segments": Choice(count > 0, segments)}
 
 
 def _of_the_run(scene: State, solver, start, sleep: bool) -> dict[str, Choice]:

@@ -259,9 +259,9 @@ def longest_step(numbers: SceneNumbers, dt: float) -> float:
 
 
 def parts_for(numbers: SceneNumbers, dt: float) -> int:
-    """Into how many a scene's Δt is divided, so that they are to it at most what `dt` is to circles of r = 1 m.
+    """The number of substeps in a scene's Δt: so many that a substep is at most `longest_step(numbers, dt)`, to 5 %.
 
-    A power of two, which scales impulses exactly.
+    A power of two, which scales impulses exactly; at most `MOST_SUBSTEPS`.
     """
     ratio = numbers.dt / longest_step(numbers, dt)
     return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1

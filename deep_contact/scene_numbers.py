@@ -1,4 +1,4 @@
-"""What a scene is, in a few numbers: taken once, and all that `presets`, `stiffness` and `planning` decide by."""
+"""What a scene is, in a few numbers, which are taken once: `presets`, `stiffness` and `trade` decide by them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class SceneNumbers(NamedTuple):
     | mass_ratio    | largest over smallest mass                                                    |      |
     | density_ratio | largest over smallest density                                                 |      |
     | layers        | mean height of dense circles less that of light ones, over the height of all  |      |
-    | fastest       | speed of the fastest circle, or of a surface that drags circles               | m/s  |
+    | fastest       | speed of the fastest circle, end of a segment, or surface that drags circles  | m/s  |
     | squares       | sum of the squares of the radii                                               | m²   |
     | height, width | of all centres, up and across                                                 | m    |
     | box_width     | of the box, across gravity                                                    | m    |
@@ -60,7 +60,10 @@ class SceneNumbers(NamedTuple):
 
 
 def scene_numbers(state: State) -> SceneNumbers:
-    """The numbers of a scene, from one look at its circles. What is fixed, or a segment, is none but for its speed."""
+    """The numbers of a scene, from one look at its circles.
+
+    Of fixed circles `count`, `radius` and `fastest` take account, of segments that move `fastest`.
+    """
     world, bodies, free = state.world, state.bodies, state.bodies
     driven = [math.hypot(*velocity[end : end + 2]) for velocity in world.segment_velocities for end in (0, 2)]
     if (fixed := bodies.is_fixed).any():

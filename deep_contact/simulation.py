@@ -50,7 +50,7 @@ KEPT = 20_000
 """Most circles of a run whose memory is kept for the next call of `simulate`."""
 
 TASKS = 16
-"""Tasks a worker of `simulate_many(jobs=…)`: a worker that is lost loses one of them."""
+"""Tasks a worker of `simulate_many(jobs=…)`: an executor that repeats those of a lost worker repeats one of them."""
 
 
 class Simulation(NamedTuple):
@@ -92,14 +92,15 @@ class Simulation(NamedTuple):
         return self.recorded
 
     def force_on(self, part: str, index: int | Sequence[int] | None = None) -> np.ndarray:
-        """The mean force of contacts between each recorded state and the next, (T − 1, 2), N; its times are theirs.
+        """The mean force of contacts between each recorded state and the next, (T − 1, 2), N.
 
-        part: "floor", "right", "ceiling", "left", "segment", "circle", or "wall": the four sides, numbered in this
-        order. index: of the segment, the circle or the wall; the force on several is their sum. The mean is over all
-        steps and substeps, rebounds included. Of a circle it is what changed its momentum, but for gravity and pushes
-        (with e > 0, to half a step's fall of a circle that lands where motion divides the step); walls and segments
-        need a run with forces=True.
-        Raises ValueError where nothing was recorded, or what there is not.
+        Force k is the mean from times[k] to times[k + 1] of the trajectory, over all steps and substeps, rebounds
+        included. part: "floor", "right", "ceiling", "left", "segment", "circle", or "wall": the four sides, numbered in
+        this order. index: of the segment, the circle or the wall; of several, whose forces are added up; None for a
+        side that `part` names. The force on a circle is what changed its momentum, but for gravity and pushes. Where
+        e > 0 and motion divides the step, that of a circle that lands can be off by m g / 2 for a step.
+        Raises ValueError where no states were recorded, without forces=True for walls and segments, and for a part or
+        an index that there is not.
         """
         recorded, world = self.trajectory, self.state.world
         if part in SIDES:
@@ -150,7 +151,7 @@ class Simulator:
     """A scene that lives: it does steps, keeps what the engine remembers of them, and can be changed between them.
 
     Arguments as of `simulate`. Where a preset chose the solver, as by default, it chooses again when the scene is
-    changed. Steps one by one, in parts and in one call are the same, bit for bit. After Ctrl-C or an
+    changed. Steps one by one, in several calls and in one call are the same, bit for bit. After Ctrl-C or an
     error it stands at a whole step, and can go on. It pickles by its state.
 
     | property   | meaning                                                   | shape  | unit |
@@ -235,10 +236,7 @@ class Simulator:
                 contacts = Contacts(*(values[stays] for values in contacts))
             # A preset decides anew: it may divide the step by the speed of a wall.
             state = replace(state, world=world, contacts=contacts, preset=None)
-        if push is not None:
-            self._change(state if dt is None else with_time_step(state, dt), push)
-        else:
-            self._change(state if dt is None else with_time_step(state, dt))
+        self._change(state if dt is None else with_time_step(state, dt), push)
 
     def _set_velocities(self, segment_velocities) -> bool:
         """Set the velocities of the segments in place, which takes less time than `_change`.
@@ -552,20 +550,21 @@ def simulate(
     `measure_trade` measured on your scene. Where the scene's circles are too small or too fast for its Δt, the step is
     divided into substeps. At step 0 contacts that carry no impulses, as of positions from elsewhere, get those at which
     they rest, where there are any (`physics.relaxation`), or are solved well.
-    sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
-    does, or the push on them changes (`physics.sleeping`). Who sleeps is known within the run only: one that goes on
-    from its state starts awake.
+    sleep: an island that has been still for `State.scales.sleep_time` (0.5 s for circles of r = 1 m) is left as it is,
+    as in Box2D 2.3. It wakes when something touches it or the push on it changes (`physics.sleeping`). Who sleeps is
+    known within the run only: one that goes on from its state starts awake.
     push: forces on the circles beside gravity, (n, 2), N, or a tuple of forces and torques, (n,), N·m; or a function of
     the state that returns them, which is asked before each step. Fixed circles feel none.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
     forces: add up what walls and segments receive between the states that `record` keeps, for `Simulation.force_on`,
     and keep what `on_step` sees of the step that led to each, as `Simulation.solved`.
     until: called after each step with the state that it led to; the run ends where this is true.
-    on_step: called after each step with the solved state and the `ConvergenceRecord` of its sweeps, of a divided step
-    of its last. The state has the bodies before the step and its contacts: with the impulses that they started from,
-    and with all that they gave in the step, in its substeps and rebounds. So the changes of momentum are the sums of
-    these impulses and gravity's. Contacts that came during the step are among them, where they came, and started from
-    0. To go on from such a state repeats the step.
+    on_step: called after each step with the solved state and the `ConvergenceRecord` of its sweeps; of a divided step
+    the record is that of the last substep. The state has the bodies before the step, and the contacts of the step.
+    `normal_start` and `tangent_start` are what the contacts started from, `normal_impulse` and `tangent_impulse` all
+    that they gave in the step, in its substeps and rebounds. So the changes of momentum are the sums of these impulses
+    and those of gravity and pushes. Contacts that came during the step are among them, where they came, and started
+    from 0. To go on from such a state, with the same push, repeats the step.
     Arrays that `until` and `on_step` get cannot be written into: `Simulator` changes what goes on.
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
     all numbers; the run can be interrupted.

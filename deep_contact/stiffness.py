@@ -49,10 +49,10 @@ SWEEPS = 5000
 """Most sweeps of a substep of what is solved to a tolerance."""
 
 SUBSTEPS = 4
-"""Least substeps of its step."""
+"""Least substeps of a step of what is solved to a tolerance."""
 
 SHARE = 1e-6
-"""Its tolerance, as a share of the impulse that carries the lightest circle for Δt."""
+"""The tolerance of such a solve, as a share of m g Δt of the lightest circle, Δt being that of the substep."""
 
 
 class Stiffness(NamedTuple):

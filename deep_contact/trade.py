@@ -1,7 +1,8 @@
 """The trade of speed for accuracy on a scene of your own: `measure_trade`, and the `Trade` that it returns.
 
-Every setting runs the scene with several seeds. A reference runs it too, with 20 sweeps of PGS and steps a sixteenth of
-the largest that a preset takes. Errors are the differences of both ensembles (`run_errors`), with intervals over seeds.
+Every setting runs the scene with several seeds. A reference runs it too, with 20 sweeps of PGS and substeps of at most
+a sixteenth of the longest that a preset takes; what `stiffness` finds too stiff for that, it solves better
+(`reference_of`). Errors are the differences of both ensembles (`run_errors`), with intervals over seeds.
 A setting is a mapping that JSON can hold: a method of ours, or another engine, with its options, sweeps and Δt.
 The studies of runs (`studies.runs`) run, time and judge their settings by the same functions.
 """
@@ -57,7 +58,7 @@ from deep_contact.stiffness import Stiffness, stiffness
 from deep_contact.validation import brief, expect, integer, number, one_of
 
 FRAMES = 120
-"""Observations of a run."""
+"""Least observations of a run that has as many steps."""
 
 SHIFT = 1e-3
 """Largest shift of a coordinate of a copy of a state, in slops."""
@@ -256,10 +257,12 @@ def noise_of(half: Sequence, reference: Sequence, *, swaps: int = 20) -> dict[st
 class Trade:
     """What settings cost on a scene, and what they get wrong; `print` shows a table, a notebook as well.
 
-    rows: of each setting {"name", "setting", "group": method or engine, "seeds", "us": time of a step of Δt, "errors":
-    name -> (value, low, high) or None}; the errors of `ERRORS` in their units, those of quantities as shares.
+    rows: of each setting {"name", "setting", "group": method or engine, "seeds", "us": time of a step of Δt, µs, or
+    None, "errors": name -> (value, low, high) or None}; the errors of `ERRORS` in their units, those of
+    quantities as shares.
     noise: error -> what seeds alone make of it. converged: error -> what half the step changes. notes: sentences.
-    by_preset: preset -> name of what the study takes for it. reference, half: settings, half with half the step.
+    by_preset: preset -> name of what the study takes for it. reference: the setting from which errors are measured,
+    with small steps; not the preset of that name. half: the same with half the step.
     """
 
     scene: str
@@ -284,9 +287,11 @@ class Trade:
     def choose(self, accuracy: str | None = None, **tolerances: float):
         """The solver of the cheapest setting that keeps a preset ("fast" by default), or tolerances of errors by name.
 
-        Tolerances of quantities are shares: discharge=0.02. Taken is what keeps them at the upper ends of its
-        intervals; where nothing does, what keeps them with a margin; else the nearest, with a warning. Raises
-        ValueError on a name that this scene has no error of.
+        Tolerances of quantities are shares: discharge=0.02. A setting that keeps them at the upper ends of its
+        errors' intervals is taken before one whose errors are within 85 % of them, and that one before one whose errors
+        are just within them. Where none does, the nearest is taken, with a warning; another one says where more seeds
+        are needed. Raises ValueError on a name that this scene has no error of, on a preset beside tolerances, and
+        where no setting was measured.
         """
         return solver_of(self.chosen(accuracy, **tolerances)["setting"])
 
@@ -319,10 +324,13 @@ class Trade:
         return math.ceil(self.seeds * (2.0 * self.noise.get(name, 0.0) / difference) ** 2)
 
     def values(self, quantity: str) -> dict[str, np.ndarray]:
-        """A quantity of the user, (seeds, T, …), by the name of the setting, the reference's as "reference"."""
+        """A quantity of the user, (runs, T, …), by the name of the setting, the reference's as "reference".
+
+        A row is a run, in the order of the seeds; a run that came to no end has none.
+        """
         one_of("quantity", quantity, self.quantities)
         seen: dict = {name: [] for name in (*self.settings, REFERENCE)}
-        for (name, _), (_, run) in self.observed.items():
+        for (name, _), (_, run) in sorted(self.observed.items(), key=lambda run: run[0]):
             seen.get(name, []).append(run.quantities[quantity])
         return {name: np.array(runs) for name, runs in seen.items() if runs and not isinstance(runs[0], str)}
 
@@ -367,9 +375,10 @@ class Trade:
         return notebook.shown(self._title(), [*rows, *((note,) for note in self.notes)], header=header)
 
     def plot(self, *names: str):
-        """The figure of errors over time, a panel an error: settings, their front, other engines, tolerances.
+        """The figure of errors over the time of a step: settings, their front, other engines, tolerances.
 
-        names: of errors; by default the energy and the deepest penetration, and the user's quantities.
+        names: of errors, a panel each; by default the energy and the deepest penetration, and the user's quantities.
+        Raises ValueError for an error that no setting has.
         """
         known = dict.fromkeys(name for row in self.rows for name, error in row["errors"].items() if error)
         wanted = names or [n for n in ("energy", "penetration_max", *self.quantities) if n in known]
@@ -385,7 +394,7 @@ class Trade:
     def save(self, path) -> Path:
         """Write all of it, observations too, as JSON."""
         stored = {f.name: getattr(self, f.name) for f in fields(self)}
-        runs = [[*of, us, seen._asdict()] for of, (us, seen) in self.observed.items()]
+        runs = [[*of, seconds, seen._asdict()] for of, (seconds, seen) in self.observed.items()]
         return write_json(path, results.plain(stored | {"observed": runs}))
 
 
@@ -393,7 +402,8 @@ def load_trade(path) -> Trade:
     """A `Trade` that was saved. Raises ValueError where the file is none."""
     try:
         stored = json.loads(read_bytes(path, LARGEST_FILE))
-        stored["observed"] = {(name, i): (us, observation(seen)) for name, i, us, seen in stored["observed"]}
+        runs = stored["observed"]
+        stored["observed"] = {(name, i): (seconds, observation(seen)) for name, i, seconds, seen in runs}
         trade = Trade(**stored)
         for name, kind in typing.get_type_hints(Trade).items():
             value = getattr(trade, name)
@@ -448,10 +458,12 @@ def measure_trade(
     """Measure what each setting costs on a scene, and what it gets wrong.
 
     scene: a state, or a function of a seed that makes one. Of a state each seed makes a copy, shifted by up to
-    0.001 slops. steps: of the scene's Δt, in each run, at least 20. seeds: how many, or which.
+    0.001 slops. steps: of the scene's Δt, in each run, at least 20. From 240 steps on a run leaves out the last ones
+    that fill no interval between its observations. seeds: how many, or which.
     minutes: after so many no further run begins, and what is known by then is returned. Compiling does not count.
-    quantities: name -> a function of a state that returns a number or an array; it is called 120 times a run.
-    settings: solvers to measure beside the presets; by default a short ladder around these.
+    quantities: name -> a function of a state that returns a number or an array. It is called after each step, and from
+    240 steps on at 120 to 179 equal intervals.
+    settings: solvers to measure beside the presets, such as PGS(sweeps=4); by default a short ladder around these.
     engines: whether Box2D and pymunk run too, where they have the scene. jobs: as in `parallel.finished`.
     before: an earlier result, whose runs are not done again.
 

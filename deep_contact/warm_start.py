@@ -159,16 +159,16 @@ class Sph:
         return self.round_trip(state, np.column_stack(solved_impulses(state, solver)))
 
     def round_trip(self, state: State, impulses: np.ndarray, *, method="bilinear") -> tuple[np.ndarray, np.ndarray]:
-        """(λ_n, λ_t) after splat and gather, (m,) each, of impulses (m, 2), N·s. method: see `sph.gather`."""
+        """(λ_n, λ_t) after splat and gather, (m,) each, of impulses (m, 2), N·s. method: as of `gather`."""
         return self.gather(state, self.splat(state, impulses), method=method)
 
     def splat(self, state: State, impulses: np.ndarray) -> np.ndarray:
-        """The image of the impulses, (n_y, n_x, 2)."""
+        """The image of the impulses, (n_y, n_x, 2), N·s."""
         grid, points, options = self._transfer(state)
         return sph.splat(grid, points, impulses, normalization="particle", **options)
 
     def gather(self, state: State, image: np.ndarray, *, method: str = "bilinear") -> tuple[np.ndarray, np.ndarray]:
-        """(λ_n, λ_t) of an image at the contacts."""
+        """(λ_n, λ_t) of an image at the contacts. method: of `sph.gather`, for the transfer "thesis" alone."""
         (grid, points, options), ends = self._transfer(state), {"outside": "clamp", "unreached": "zero"}
         if self.transfer == "spline":
             back = sph.read_by_spline(grid, image, points)

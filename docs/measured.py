@@ -514,7 +514,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "mean penetration of {:.2f} % of r at rest, one step with the whole slop {:.2f} %",
             lambda: [penetration(**BY_MOTION), penetration(dt=0.01)],
         ),
-        ("a start of {:g} times the weight of all circles, whose rounding stays in the velocities; one of {:g} times", wild_starts),
+        ("impulses of {:g} times the weight of all circles times Δt. The rounding of these impulses stays in the velocities; a start of {:g} times it", wild_starts),
         (
             "Radii that differ {:,.0f} times degrade",
             lambda: [float(cell("figure_6_6", "radius ratio", "ours: degraded"))],
@@ -544,7 +544,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
         ("Of the other cases, this package alone keeps {}, and another engine alone {}", lambda: walls_alone()[::2]),
         (
-            "takes {:.2f} times the sweeps of that start in settling piles of 100 circles, with an interval of {:.2f} to {:.2f}",
+            "takes {:.2f} times as many sweeps as the impulses of the step before, in settling piles of 100 circles, with an interval of {:.2f} to {:.2f}",
             lambda: not_efficient("model.h5")[0],
         ),
         ("It takes {:.2f} times the time, with an interval of {:.2f} to {:.2f}", lambda: not_efficient("model.h5")[1]),
@@ -578,7 +578,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             lambda: in_own_runs("none", "sph", "builtin"),
         ),
         ("field of ones, {:.0e} on the pile", lambda: [lost("pile, consistent")]),
-        ("weights that sum to one, {:.0e}, which is rounding", lambda: [lost("pile, authors' sharing")]),
+        ("weights that sum to one. What is lost is {:.0e}, which is rounding", lambda: [lost("pile, authors' sharing")]),
         ("for the SPH image: {:.2f} on the pile", lambda: [lost("pile, authors' spline")]),
     ],
     "starts.md": [
@@ -672,7 +672,7 @@ GIVEN: dict[str, list[str]] = {
         *(
             "at most 85 % of the tolerances",
             "restitutions of 0.3 and 0.8",
-            "Wall time of 10 ms, the mean over a run of 6 s",
+            "a thread works for 10 ms of simulated time, in the mean over a run of 6 s",
         ),
         *("by at most 1 % of its initial value", "Δt is 10 ms", "below 3 % of a mean radius", "steps of 0.625 ms"),
     ],

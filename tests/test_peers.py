@@ -5,6 +5,7 @@ recorded.
 """
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -127,6 +128,11 @@ def test_a_missing_engine_and_a_bad_state_are_refused_by_name(engine, monkeypatc
     bad = state.bodies._replace(mass=np.array([np.nan]))
     with pytest.raises(ValueError, match=r"bodies\.mass"):
         engine(state.replace(bodies=bad))
+    walls = replace(state.world, segments=[(2, 1, 8, 1)], segment_velocities=[((0, 1), (0, 1))])
+    with pytest.raises(ValueError, match=f"segment_velocities: expected none for {engine.name}"):
+        engine(state.replace(world=walls))
+    with pytest.raises(ValueError, match=f"mass: expected no fixed circles for {engine.name}"):
+        engine(scene([[5, 5], [9, 9]], fixed=[True, False]))
     monkeypatch.setitem(sys.modules, engine.package, None)
     with pytest.raises(ImportError, match=rf"{engine.package}.*deep-contact\[peers\]"):
         engine(state)

@@ -49,7 +49,7 @@ def test_a_plan_prints_a_line_a_part():
     title, tangents, *_ = str(found).splitlines()
     assert title == "circles_20: 20 circles, PGS(sweeps=10, tolerance=6e-05) from builtin"
     assert tangents.split() == [*TANGENT.split(), "left", "out", "friction", "is", "0"]
-    with pytest.raises(ValueError, match="part: expected one of tangent rows and spin, static segments, islands"):
+    with pytest.raises(ValueError, match="part: expected one of tangent rows and spin, segments, islands"):
         found["gravity"]
 
 
@@ -106,6 +106,6 @@ def test_substeps_are_planned_by_their_least_and_most_number(least, most, text):
 def test_segments_and_belts_are_counted():
     segments = [((1.0, 5.0), (4.0, 5.0)), ((5.0, 5.0), (8.0, 5.0))]
     world = replace(COLUMN.world, segments=segments, surface_speeds=[0.0, 2.0])
-    choice = dc.plan(COLUMN.replace(world=world))["static segments"]
-    assert choice == (True, "the world has 2, and 1 surfaces move")
-    assert dc.plan(COLUMN)["static segments"] == (False, "the world has none")
+    choice = dc.plan(COLUMN.replace(world=world))["segments"]
+    assert choice == (True, "the world has 2, 1 have a surface that moves")
+    assert dc.plan(COLUMN)["segments"] == (False, "the world has none")

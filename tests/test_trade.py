@@ -100,6 +100,20 @@ def test_what_is_chosen_keeps_what_was_asked_at_the_least_cost(pile, tmp_path):
         dc.simulate(scene.replace(dt=0.02, contacts=None), steps=1, accuracy=trade)
 
 
+def test_values_are_in_the_order_of_the_seeds_however_the_runs_ended(pile):
+    _, trade = pile
+    other = replace(trade, observed=dict(reversed(trade.observed.items())))
+    for name, values in trade.values("top").items():
+        np.testing.assert_array_equal(other.values("top")[name], values)
+
+
+def test_a_plan_under_a_trade_names_a_stiff_scene(pile):
+    _, trade = pile
+    choice = dc.plan(dc.column(200), accuracy=trade)["solving stiff piles"]
+    assert not choice.used
+    assert "200" in choice.why
+
+
 def test_it_goes_on_where_it_was_interrupted(pile, monkeypatch):
     scene, whole = pile
     real, calls = module._task, []

@@ -21,8 +21,8 @@ PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotli
 def provenance(*, seed: int | None = None, wall_s: float = 0.0, options: dict | None = None) -> dict:
     """Version, commit, Python, packages, processor, seed and wall time in seconds, as results files record them.
 
-    options: of the run; with them also "inputs", the digests of the files that they name. Neither paths nor the name of
-    the machine are recorded. No package is imported to learn its version.
+    options: of the run; with them also "inputs", the digests of the files that they name, by their paths there.
+    The name of the machine is not recorded. No package is imported to learn its version.
     """
     record = {
         "version": VERSION,

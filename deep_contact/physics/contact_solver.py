@@ -355,7 +355,7 @@ def best_share(rows, solver_bodies):
     """α = clip(−b·λ / λ·A λ, 0, 1) for the impulses λ of the rows; 1 where these change no velocity.
 
     α λ has the least energy ½ α² λ·A λ + α b·λ, with A = J M⁻¹ Jᵀ and b = J v⁻. rows: `Rows` with
-    tangents. solver_bodies: velocities v⁻ before impulses, (n + 4, 4). One pass over the contacts, for λ·A λ is the
+    tangents. solver_bodies: velocities v⁻ before impulses, (N, 4). One pass over the contacts, for λ·A λ is the
     kinetic energy, times 2, of what λ does to the bodies: Σ m |Δv|² + ½ m Δs², s = ω r.
     """
     v = solver_bodies

@@ -1,4 +1,4 @@
-"""The engine: `advance` is the algorithm, that of Box2D 2.3 for circles at e = 0, but for its own continuous collision.
+"""The engine: `advance` is the algorithm, that of Box2D 2.3 for circles at e = 0. Continuous collision is not Box2D's.
 
 `solvers.batched` has the same stages in batches; `deep_contact.simulation` is the validated interface.
 """
@@ -215,7 +215,8 @@ class Steps:
     ) -> tuple[Contacts, np.ndarray]:
         """Do as many steps as the log has rows, which is filled: the bodies move in place.
 
-        problem: of the one step to do, if it has been built; it is used up. Who may sleep has rows of their own.
+        problem: of the one step to do, if it has been built; it is used up. Where circles may sleep, or the step is
+        divided, rows are built here.
         Returns the contacts found, in memory that the next call leaves as it is, and `StepLog.received`.
         """
         key, before, built = step.friction is None, 0, None
@@ -309,7 +310,7 @@ class StepProblem(NamedTuple):
     """The contact problem of a state's next step, after its impacts, built once for the start and for the step."""
 
     rows: Rows  # their impulses are those that the state starts from
-    solver_bodies: np.ndarray  # (n + 4, 4): after gravity, before impulses
+    solver_bodies: np.ndarray  # (n + 4 + contacts with moving segments, 4): after gravity, before impulses
     friction: float | None  # μ, or None where there are no tangent rows (`started`)
     impacts: np.ndarray  # (m, 2): what the second bodies of the contacts received in the impacts, N·s; (0, 2) if e = 0
 

@@ -102,8 +102,9 @@ def lattice_in_box(
 
 
 def column(n_bodies: int = 10, *, radius: float = 1.0, width: float = 30.0, density: float = 1.0, **world) -> State:
-    """Circles exactly above one another in the middle of the box, just touching. A silo is 2.02 radii wide.
+    """Circles exactly above one another in the middle of the box, just touching.
 
+    radius: m. width: of the box, m; a silo that leaves no play has 2.02 radii. density: kg/m².
     world: friction, restitution and gravity of the `World`.
     """
     n = integer("n_bodies", n_bodies, least=1)

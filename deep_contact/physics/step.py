@@ -45,8 +45,8 @@ class StepInput(NamedTuple):
     gravity: tuple
     friction: float | None  # None, in place of 0, leaves the tangent rows out
     restitution: float | None
-    dt: float  # of a part, s
-    parts: int  # of a step
+    dt: float  # of a part, s: what is solved at once
+    parts: int  # of a step: substeps, times those into which motion divides each
     scales: ContactScales  # of the state that the steps begin with
     motion: Motion | None = None
     drive: Drive | None = None  # its segments are the step's own: their lines move in place

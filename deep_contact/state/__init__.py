@@ -91,10 +91,11 @@ class State:
     `load` is what the impulses were solved for (`physics.load`), or None where that is unknown, as in a file.
     `preset` is what chose the solver (`simulate(accuracy=…)`): a run that goes on under it keeps the solver.
     `push` is what acts on the circles in the step from here, beside gravity: forces (n, 2), N, and torques (n,), N·m;
-    or None. Runs set it (`simulate(push=…)`), and no file has it.
+    or None. A run sets it to its own push, or to None (`simulate(push=…)`), and `solve_contacts` applies it. No file
+    has it.
 
-    States are equal if all numbers and settings are. The fields cannot be set; nothing in this package writes into the
-    arrays of a state that it is given, or hands out arrays that a later step writes into.
+    States are equal if all fields but `load`, `push` and `preset` are. The fields cannot be set; nothing in this
+    package writes into the arrays of a state that it is given. No later step writes into the arrays of a state.
     """
 
     name: str

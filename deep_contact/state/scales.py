@@ -37,7 +37,7 @@ class ContactScales(NamedTuple):
     | wall_skin             | walls are felt this far ahead of their surface                        | m     |
     | max_correction        | largest displacement of one row in one sweep of position correction   | m     |
     | max_translation       | largest displacement of a body in one step; set by `BOX2D` alone      | m     |
-    | restitution_threshold | approach speed above which a contact bounces, times (1 − e²)          | m/s   |
+    | restitution_threshold | speed s: contacts that approach slower than (1 − e²) s do not bounce  | m/s   |
     | sleep_speed           | a circle is still up to this speed                                    | m/s   |
     | sleep_spin            | and up to this angular velocity                                       | rad/s |
     | sleep_time            | an island falls asleep once it has been still for so long             | s     |
@@ -70,7 +70,7 @@ def contact_scales(radius, gravity, dt: float, fixed: ContactScales | None = Non
     """The scales of a scene's steps: the fixed ones, or those that follow from its radii, (n,), m, gravity and Δt.
 
     Only fixed scales limit how far a circle moves in a step: what is fast stops where it touches something
-    (`physics.continuous`). All are cut to `FASTEST` times Δt.
+    (`physics.continuous`). That limit is cut to `FASTEST` times Δt, m.
     """
     length = mean(radius)
     felt = math.sqrt(math.hypot(*gravity) * length / _GRAVITY)  # 0 without gravity

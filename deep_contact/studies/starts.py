@@ -47,7 +47,7 @@ THOROUGH = PGS()
 MODES = ("paired", "independent")
 
 REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
-"""Reference solution of velocity errors: a solution swept on, so that it favours no start."""
+"""Solver of the solutions that velocity errors are measured against: it sweeps on, so that no start is favoured."""
 
 TRANSFERS = {"sph": "thesis", "sph spline": "spline"}
 """Start -> how it reads its image (`Sph`): as Algorithm 4 prints it, and as the thesis's authors programmed it."""

@@ -126,7 +126,7 @@ def make_workspace(settings, rows, solver_bodies):
 def relax(settings, rows, friction, solver_bodies, theta, workspace):
     """Relax all contacts, in place, by the loop of the settings. Returns (sweeps, relaxations).
 
-    rows: `Rows`. friction: μ, or None for rows without tangents. solver_bodies: (n + 4, 4). theta: buffer for the θ of
+    rows: `Rows`. friction: μ, or None for rows without tangents. solver_bodies: (N, 4). theta: buffer for the θ of
     each sweep; its length is the largest number of sweeps. workspace: of `make_workspace`.
     """
     return _relax(type(settings))(settings, rows, friction, solver_bodies, theta, workspace)
