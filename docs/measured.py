@@ -583,13 +583,13 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     ],
     "starts.md": [
         (
-            "μ = 0.5 they leave the median contact an interval of {:.1f} times the mean λ_n (without friction {:.2f}), and in one "
-            "of 1,000 circles {:.0f} times",
+            "With μ = 0.5 it is open over an interval of {:.1f} times the mean λ_n, without friction over {:.2f} of it, and in one "
+            "of 1,000 circles, with friction, over {:.0f} times",
             lambda: [width(), width(0), width(circles=1000)],
         ),
         ("the median contact's λ_n is off by {:.2f} of the mean λ_n", lambda: elsewhere()[:1]),
         ("it is off by {:.2f}. With", lambda: elsewhere()[1:2]),
-        (", before any sweep, it is off by {:.3f}, and the velocities by {:.2f}", lambda: elsewhere()[2:]),
+        (", before any sweep, it is off by {:.3f}, and the velocity error is {:.2f}", lambda: elsewhere()[2:]),
         (
             "3 sweeps from the network leave as small an error as {:.1f} sweeps of the best classical setting; 10 sweeps are "
             "worth {:.1f}, and 30 are worth {:.1f}",
@@ -656,7 +656,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             ],
         ),
         ("alone takes {:.0f} times Builtin's time to θ < 6e-5", lambda: [by_tree()[RATIO][0]]),
-        ("compiled here, {:.2f} of it", lambda: [by_tree()["mean compiled here, ms"] / by_tree()["mean builtin, ms"]]),
+        ("Compiled here, it takes {:.2f} times that time", lambda: [by_tree()["mean compiled here, ms"] / by_tree()["mean builtin, ms"]]),
         (
             "angular momentum to {:.2f} % (Figure 6.3)",
             lambda: [100 * float(np.mean(stored("figure_6_3")["data"]["by scene"]["angular momentum"]))],
