@@ -74,7 +74,7 @@ def plan(
     """
     scene = ready(scene)
     solver, start, name, decision = method_of(scene, solver, warm_start, accuracy, sleep=sleep)
-    stiff = _stiffness(stiffness(scene), solver)
+    stiff = _stiffness(decision.stiff if decision else stiffness(scene), solver)
     choices = _of_the_scene(scene, solver) | _of_the_run(scene, solver, start, sleep) | {"solving stiff piles": stiff}
     of_scene = {"scene": scene.name, "n_bodies": scene.bodies.count}
     return Plan(**of_scene, solver=solver, warm_start=name, us=decision and decision.us, choices=choices)

@@ -62,7 +62,7 @@ class SceneNumbers(NamedTuple):
 def scene_numbers(state: State) -> SceneNumbers:
     """The numbers of a scene, from one look at its circles.
 
-    Of fixed circles `count`, `radius` and `fastest` take account, of segments that move `fastest`.
+    Fixed circles are in `count`, `radius` and `fastest`, and in no other number.
     """
     world, bodies, free = state.world, state.bodies, state.bodies
     driven = [math.hypot(*velocity[end : end + 2]) for velocity in world.segment_velocities for end in (0, 2)]

@@ -50,7 +50,7 @@ KEPT = 20_000
 """Most circles of a run whose memory is kept for the next call of `simulate`."""
 
 TASKS = 16
-"""Tasks a worker of `simulate_many(jobs=…)`: an executor that repeats those of a lost worker repeats one of them."""
+"""Tasks for each worker of `simulate_many(jobs=…)`. Where an executor replaces a lost worker, it repeats one task."""
 
 
 class Simulation(NamedTuple):
@@ -98,7 +98,7 @@ class Simulation(NamedTuple):
         included. part: "floor", "right", "ceiling", "left", "segment", "circle", or "wall": the four sides, numbered in
         this order. index: of the segment, the circle or the wall; of several, whose forces are added up; None for a
         side that `part` names. The force on a circle is what changed its momentum, but for gravity and pushes. Where
-        e > 0 and motion divides the step, that of a circle that lands can be off by m g / 2 for a step.
+        e > 0 and motion divides the step, the momentum of a circle that lands can be off by m g Δt / 2.
         Raises ValueError where no states were recorded, without forces=True for walls and segments, and for a part or
         an index that there is not.
         """

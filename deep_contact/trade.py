@@ -58,7 +58,7 @@ from deep_contact.stiffness import Stiffness, stiffness
 from deep_contact.validation import brief, expect, integer, number, one_of
 
 FRAMES = 120
-"""Least observations of a run that has as many steps."""
+"""Least observations of a run; a shorter one has as many as it has steps."""
 
 SHIFT = 1e-3
 """Largest shift of a coordinate of a copy of a state, in slops."""
@@ -341,7 +341,7 @@ class Trade:
         other = count > 2 * self.n_bodies or 2 * count < self.n_bodies
         text = f"accuracy: the trade was measured on {self.n_bodies:,} circles, the scene has {count:,}"
         start = row["setting"].get("start", "builtin")
-        return Decision(solver_of(row["setting"]), start, row["us"], None, (text,) if other else ())
+        return Decision(solver_of(row["setting"]), start, row["us"], stiffness(scene), (text,) if other else ())
 
     def table(self) -> list[list[str]]:
         """A header and a line a setting, the cheapest first: ms a step, errors in %, the preset it keeps, its name."""

@@ -449,7 +449,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             lambda: [*wall_cells(), *walls()[:2]],
         ),
         (
-            "the ends that are known lie from {:.2f} to {:.1f}. {} ratios have no lower end, since no setting of ours keeps the "
+            "The ends that are known lie from {:.2f} to {:.1f}. {} ratios have no lower end, since no setting of ours keeps the "
             "preset at the upper ends of its errors. {} have no upper end",
             walls_ends,
         ),
@@ -514,7 +514,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "mean penetration of {:.2f} % of r at rest, one step with the whole slop {:.2f} %",
             lambda: [penetration(**BY_MOTION), penetration(dt=0.01)],
         ),
-        ("impulses of {:g} times the weight of all circles times Δt. The rounding of these impulses stays in the velocities; a start of {:g} times it", wild_starts),
+        ("a start whose impulses add up to {:g} times W. W is the weight of all circles times Δt. The rounding of these impulses stays in the velocities. A start of {:g} times W", wild_starts),
         (
             "Radii that differ {:,.0f} times degrade",
             lambda: [float(cell("figure_6_6", "radius ratio", "ours: degraded"))],
@@ -544,10 +544,10 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
         ("Of the other cases, this package alone keeps {}, and another engine alone {}", lambda: walls_alone()[::2]),
         (
-            "takes {:.2f} times as many sweeps as the impulses of the step before, in settling piles of 100 circles, with an interval of {:.2f} to {:.2f}",
+            "takes {:.2f} times as many sweeps as a start from the impulses of the step before, with an interval of {:.2f} to {:.2f}",
             lambda: not_efficient("model.h5")[0],
         ),
-        ("It takes {:.2f} times the time, with an interval of {:.2f} to {:.2f}", lambda: not_efficient("model.h5")[1]),
+        ("It takes {:.2f} times as long, with an interval of {:.2f} to {:.2f}", lambda: not_efficient("model.h5")[1]),
         (
             "{:.1f} to {:.1f} times as long, and those of the others {:.1f} to {:.1f} times",
             busy_over_idle,
@@ -577,19 +577,19 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "*none* takes {:,.0f} sweeps, *sph* {:,.0f} and *builtin* {:,.0f}",
             lambda: in_own_runs("none", "sph", "builtin"),
         ),
-        ("field of ones, {:.0e} on the pile", lambda: [lost("pile, consistent")]),
+        ("field of ones. On the pile {:.0e} is lost", lambda: [lost("pile, consistent")]),
         ("weights that sum to one. What is lost is {:.0e}, which is rounding", lambda: [lost("pile, authors' sharing")]),
         ("for the SPH image: {:.2f} on the pile", lambda: [lost("pile, authors' spline")]),
     ],
     "starts.md": [
         (
-            "With μ = 0.5 it is open over an interval of {:.1f} times the mean λ_n, without friction over {:.2f} of it, and in one "
-            "of 1,000 circles, with friction, over {:.0f} times",
+            "it is {:.1f} times the mean λ_n with μ = 0.5, and {:.2f} of it without friction. In a pile "
+            "of 1,000 circles, with friction, it is {:.0f} times",
             lambda: [width(), width(0), width(circles=1000)],
         ),
         ("the median contact's λ_n is off by {:.2f} of the mean λ_n", lambda: elsewhere()[:1]),
-        ("it is off by {:.2f}. With", lambda: elsewhere()[1:2]),
-        (", before any sweep, it is off by {:.3f}, and the velocity error is {:.2f}", lambda: elsewhere()[2:]),
+        ("it is off by {:.2f}. The network", lambda: elsewhere()[1:2]),
+        ("its λ_n is off by {:.3f} before any sweep, and its velocity error is {:.2f}", lambda: elsewhere()[2:]),
         (
             "3 sweeps from the network leave as small an error as {:.1f} sweeps of the best classical setting; 10 sweeps are "
             "worth {:.1f}, and 30 are worth {:.1f}",

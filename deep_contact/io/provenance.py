@@ -21,7 +21,7 @@ PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotli
 def provenance(*, seed: int | None = None, wall_s: float = 0.0, options: dict | None = None) -> dict:
     """Version, commit, Python, packages, processor, seed and wall time in seconds, as results files record them.
 
-    options: of the run; with them also "inputs", the digests of the files that they name, by their paths there.
+    options: of the run; with them also "inputs", the digests of the files that they name, by the paths in them.
     The name of the machine is not recorded. No package is imported to learn its version.
     """
     record = {

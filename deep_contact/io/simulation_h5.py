@@ -3,8 +3,8 @@
 One file a simulation, `<folder>/sim_0000.h5`, holds the states that it is given exactly (float64), so that any
 image can be made of it later, for any grid, kernel and set of channels. data/README.md has the meaning of its
 attributes and arrays (`_ARRAYS`); beside those a file has the attributes scales (8,), the fields of `ContactScales`,
-segments (4 S,), surface_speeds (S,) and segment_velocities (4 S,), where the world has any. Of segments that move it
-has the places in each state, of a run that something drives the work that was done.
+segments (4 S,), surface_speeds (S,) and segment_velocities (4 S,), where the world has any. Where segments move it
+has their places in each state; where something drives a run it has the work that was done.
 
 `digest` is the SHA-256 of the attributes and the unpacked arrays in a fixed order, the same for every compression; it
 is checked on reading. Every fault of a file is a `DataFileError`.

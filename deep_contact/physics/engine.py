@@ -1,4 +1,4 @@
-"""The engine: `advance` is the algorithm, that of Box2D 2.3 for circles at e = 0. Continuous collision is not Box2D's.
+"""The engine: `advance` is the algorithm, that of Box2D 2.3 for circles at e = 0. Continuous collision is our own.
 
 `solvers.batched` has the same stages in batches; `deep_contact.simulation` is the validated interface.
 """
