@@ -382,8 +382,7 @@ def test_the_nearest_is_taken_where_nothing_keeps_a_tolerance_and_a_budget_of_se
 @pytest.mark.parametrize(("count", "is_said"), [(49, True), (50, False), (200, False), (201, True)])
 def test_a_scene_of_twice_or_half_the_circles_is_another(count, is_said):
     trade = by_hand(rows=rows(energy=((1.0, 1.0, 1.0),) * 2), n_bodies=100)
-    scene = SimpleNamespace(dt=0.01, bodies=SimpleNamespace(count=count))
-    assert bool(trade.decide(scene).warnings) == is_said
+    assert bool(trade.decide(dc.lattice_in_box(count)).warnings) == is_said
 
 
 def test_errors_of_quantities_are_shares_that_are_shown_in_percent():

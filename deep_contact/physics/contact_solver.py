@@ -137,11 +137,9 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, sh
     return rows
 
 
-@njit(inline="always")
+@njit(cache=True)
 def relative_velocity(rows, v, i):
     """(Along the normal, along the tangent) of the i-th contact, m/s. v: velocities of the solver bodies."""
-    # In line. Numba compiles a function with the fast-math flags of the one that calls it first, so that bits would
-    # depend on what the process compiled first.
     a, b, n_x, n_y = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i, N_X], rows.data[i, N_Y]
     d_x, d_y = v[b, V_X] - v[a, V_X], v[b, V_Y] - v[a, V_Y]
     turn = rows.data[i, ARM_A] * v[a, V_S] + rows.data[i, ARM_B] * v[b, V_S]

@@ -14,6 +14,7 @@ import pytest
 from conftest import run_python
 
 import deep_contact as dc
+from deep_contact.compiled import njit
 from deep_contact.physics.solvers import METHODS
 
 PACKAGE = Path(dc.__file__).parent
@@ -69,3 +70,19 @@ def test_cold_and_warm_compiled_code_compute_the_same(tmp_path):
     assert list((tmp_path / "deep_contact" / "physics" / "__pycache__").glob("engine.advance-*.nbi"))
     warm = in_another_process(5, folder=tmp_path)
     assert cold == warm == run(5)
+
+
+def test_a_function_keeps_its_flags_whoever_calls_it_first():
+    """Else it is compiled with the fast-math flags of its first caller: x y − z, fused, is 2⁻⁶⁰ here, and not 0."""
+
+    @njit
+    def product_and_difference(x, y, z):
+        return x * y - z
+
+    @njit(fastmath={"contract"})
+    def caller(x, y, z):
+        return product_and_difference(x, y, z)
+
+    numbers = 1.0 + 2.0**-30, 1.0 + 2.0**-30, 1.0 + 2.0**-29
+    caller(*numbers)
+    assert product_and_difference(*numbers) == 0.0
