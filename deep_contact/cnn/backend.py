@@ -23,20 +23,16 @@ def __getattr__(name: str):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     _expect_tensorflow(os.environ.get("KERAS_BACKEND", "tensorflow"))
     with _importing:
-        return _imported(name)
-
-
-def _imported(name: str):
-    if name not in sys.modules:
-        # TensorFlow's later messages are below this level. The first ones do not know any level yet.
-        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-        try:
-            with _silent():
-                importlib.import_module(name)
-        except ModuleNotFoundError as error:
-            needs = "expected the package, which training and networks on images need"
-            raise ModuleNotFoundError(f"{error.name}: {needs}, got none: pip install keras tensorflow") from error
-        _apply_limit()
+        if name not in sys.modules:
+            # TensorFlow's later messages are below this level. The first ones do not know any level yet.
+            os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+            try:
+                with _silent():
+                    importlib.import_module(name)
+            except ModuleNotFoundError as error:
+                needs = "expected the package, which training and networks on images need"
+                raise ModuleNotFoundError(f"{error.name}: {needs}, got none: pip install keras tensorflow") from error
+            _apply_limit()
     if name == "keras":
         _expect_tensorflow(sys.modules[name].backend.backend())
     return sys.modules[name]

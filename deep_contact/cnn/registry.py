@@ -10,7 +10,6 @@ from pathlib import Path
 
 from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.io.shipped import ROOT
-from deep_contact.validation import one_of
 
 FOLDER = "DEEP_CONTACT_MODELS"
 """Environment variable: a folder that is searched before the shipped `models/`."""
@@ -19,28 +18,20 @@ FOLDER = "DEEP_CONTACT_MODELS"
 def network_file(model=None) -> Path:
     """A model file by its name in the registry (default "model"), or by its path from the current folder or `ROOT`.
 
-    Where "models/x.h5" does not exist, it is the registered "x". Raises FileNotFoundError where there is none.
+    Where "models/x.h5" does not exist, it is the registered "x". Raises FileNotFoundError where there is none, and
+    ModelFileError where a file of a registered name is another than the registered one.
     """
     text, known = "model" if model is None else str(model), registered()
     for place in () if text in known else (Path(text), ROOT / text):
-        if place.exists() and not place.is_dir():
+        if place.is_file():
             return place
     name = text.removeprefix("models/").removesuffix(".h5")
-    if name in known:
-        return path_of(name)
-    raise FileNotFoundError(
-        f"model file: expected a file or one of {', '.join(known)}, got {text}, which does not exist; "
-        "`deep-contact train` makes one"
-    )
-
-
-def path_of(name: str) -> Path:
-    """The file of a registered network, "model" or "no_past", with its contents checked.
-
-    Raises FileNotFoundError naming the network and the folders where none has it, ModelFileError where the file is not
-    the registered one.
-    """
-    entry = registered()[one_of("model", name, registered())]
+    if name not in known:
+        raise FileNotFoundError(
+            f"model file: expected a file or one of {', '.join(known)}, got {text}, which does not exist; "
+            "`deep-contact train` makes one"
+        )
+    entry = known[name]
     path = next((path for folder in _folders() if (path := folder / entry["file"]).is_file()), None)
     if path is None:
         raise FileNotFoundError(

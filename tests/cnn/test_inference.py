@@ -208,17 +208,17 @@ def test_what_was_changed_or_is_not_stock_is_refused_before_keras_sees_it(file, 
 
 def test_every_shipped_file_is_registered_under_its_hash():
     models = registry.ROOT / "models"
-    assert sorted(map(registry.path_of, registry.registered())) == sorted(models.rglob("*.h5"))
+    assert sorted(map(registry.network_file, registry.registered())) == sorted(models.rglob("*.h5"))
     assert load_model("no_past").path.samefile(load_model("models/no_past.h5").path)
 
 
 def test_models_are_found_in_the_folder_that_is_named_and_in_the_current_one(tmp_path, monkeypatch):
     (tmp_path / "models").mkdir()
-    copy = shutil.copy(registry.path_of("no_past"), tmp_path / "models")
+    copy = shutil.copy(registry.network_file("no_past"), tmp_path / "models")
     monkeypatch.setenv("DEEP_CONTACT_MODELS", str(tmp_path / "models"))
-    assert str(registry.path_of("no_past")) == copy
-    assert registry.path_of("model") == registry.ROOT / "models" / "model.h5"
-    shutil.copy(registry.path_of("model"), copy)
+    assert str(registry.network_file("no_past")) == copy
+    assert registry.network_file("model") == registry.ROOT / "models" / "model.h5"
+    shutil.copy(registry.network_file("model"), copy)
     with pytest.raises(ModelFileError, match=r"no_past\.h5: sha256: expected"):
         load_model("no_past")
     monkeypatch.delenv("DEEP_CONTACT_MODELS")
@@ -419,7 +419,7 @@ def test_states_that_carry_nothing_do_not_decide_on_the_quality_of_a_start(falli
 
 def test_a_start_by_name_reads_the_model_again_only_if_the_file_changes(tmp_path, monkeypatch):
     path = tmp_path / "model.h5"
-    shutil.copy(registry.path_of("model"), path)
+    shutil.copy(registry.network_file("model"), path)
     monkeypatch.setenv(registry.FOLDER, str(tmp_path))
     first, again = (warm_start_of("cnn").model for _ in range(2))
     assert first is again
