@@ -29,7 +29,6 @@ from deep_contact.studies.chapter_5 import (
     THESIS_VISITS,
     networks_info,
 )
-from deep_contact.studies.learned_starts import CLASSICAL, best_errors
 from deep_contact.studies.starts import READ
 from deep_contact.studies.verdicts import BY_SWEEP, RATIO, intervals, ranges
 
@@ -54,15 +53,21 @@ def _read(stem: str) -> dict:
 
 
 @cache
-def printed(stem: str) -> list[list]:
-    """The table that a figure's script prints, of figure_6_3, say, head first."""
+def script(stem: str):
+    """The module of a figure's script, of figure_6_3, say."""
     path = next((ROOT / "scripts").glob(f"{stem}_[a-z]*.py"), None)
     if path is None:
         raise ValueError(f"table: expected a script's figure_C_N, got {stem!r}")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return module.FIGURE.table(stored(stem)["data"])
+    return module
+
+
+@cache
+def printed(stem: str) -> list[list]:
+    """The table that a figure's script prints, head first."""
+    return script(stem).FIGURE.table(stored(stem)["data"])
 
 
 def cell(stem: str, row: str, column: str):
@@ -308,9 +313,9 @@ def worth() -> np.ndarray:
 
     Between the numbers of sweeps that were measured, the logarithm of the error is taken as linear.
     """
-    data = stored("figure_6_8")["data"]
-    classical = np.log(best_errors(data["scenes"], CLASSICAL).mean(axis=0))
-    network = np.log(best_errors(data["scenes"], ["far field"]).mean(axis=0))
+    data, study = stored("figure_6_8")["data"], script("figure_6_8")
+    classical = np.log(study.best_errors(data["scenes"], study.CLASSICAL).mean(axis=0))
+    network = np.log(study.best_errors(data["scenes"], [study.LEARNED]).mean(axis=0))
     columns = [data["after"].index(k) for k in AFTER]
     return np.interp(-network[columns], -classical, data["after"])
 

@@ -10,27 +10,42 @@ from time import process_time
 import numpy as np
 
 from deep_contact import parallel
+from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.images import ImageSpec
 from deep_contact.cnn.model_file import ModelFileError
-from deep_contact.physics.engine import solve
+from deep_contact.physics.contact_solver import projected
+from deep_contact.physics.engine import solve, step_problem
 from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.state import State
 from deep_contact.studies import chapter_5, piles, starts, timing, verdicts
-from deep_contact.studies.learned_starts import stages_of
 from deep_contact.studies.starts import THRESHOLD, sweeps_to
-from deep_contact.warm_start import WarmStart
+from deep_contact.warm_start import Sph, WarmStart, solved_impulses, warm_start_of
 
 TITLE = "Does a network's start save time to θ < 6e-5 N·s?"
 COLOURS = {"splat": plotting.SKY, "network": plotting.PURPLE, "gather": plotting.ORANGE, "solve": plotting.GREY}
-
-
-STAGES = ("splat", "network", "gather", "solve")
-"""Stages of a step's contact solution: particles to image, image to image, image to contacts, sweeps."""
-
+"""Stage of a step's contact solution (particles to image, image to image, image to contacts, sweeps) -> its colour."""
 
 CLOCK = {"reduce": np.median, "clock": process_time}
 """Processor time of this process, so that what else runs is not counted; its networks run on one thread."""
+
+
+def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]:
+    """The stages of a start as calls that need none of each other: "splat", "network" and "gather", whose result it is.
+
+    The solution that SPH transfers is known, and rows have been built. A start without an image has no stages.
+    """
+    if isinstance(start, Sph):
+        impulses = np.column_stack(solved_impulses(state, PGS()))
+        image = start.splat(state, impulses)
+        return {"splat": lambda: start.splat(state, impulses), "gather": lambda: start.gather(state, image)}
+    if not hasattr(start, "model"):
+        return {}
+    model, splat = start.model, partial(start.model.seen, state, step_problem(state))
+    image, read = splat()
+    out = model.run(image)
+    gather = lambda: projected(*read(out), state.world.friction)  # noqa: E731
+    return {"splat": splat, "network": partial(model.run, image), "gather": gather}
 
 
 def time_to_threshold(
@@ -70,10 +85,11 @@ def time_by_tree(state: State, *, repeats: int) -> float:
 
 def compute(options, seed, jobs, progress):
     """Settling piles of two sizes, the smaller in the thesis's box; one process, since its time counts."""
-    networks, by_size, grid = options["networks"], {}, {"spacing": options["spacing"]}
-    described = {"none": "none", "builtin": "builtin"} | {name: of | grid for name, of in starts.CHOSEN.items()}
-    described |= {name: {"model": path} for name, path in networks.items()} | {"copy": "copy"}
-    every = {name: starts.start_of(description) for name, description in described.items()}
+    one_thread()
+    networks, by_size = options["networks"], {}
+    sph = {name: Sph(**of | {"spacing": options["spacing"]}) for name, of in starts.CHOSEN.items()}
+    given = {"none": "none", "builtin": "builtin"} | sph | networks | {"copy": "copy"}
+    every = {name: warm_start_of(start) for name, start in given.items()}
 
     def scene(n_bodies, seed):
         world = {name: options[name] for name in ("friction", "restitution")}
@@ -119,7 +135,7 @@ def times(pile, name):
     """Milliseconds of each stage of a start, one a scene; 0 for a stage that it does not need."""
     seconds = pile["starts"][name]["seconds"]
     none = np.zeros(len(pile["scene"]))
-    return {stage: 1e3 * by_scene(pile, seconds.get(stage, none)) for stage in STAGES}
+    return {stage: 1e3 * by_scene(pile, seconds.get(stage, none)) for stage in COLOURS}
 
 
 def claims(data):
@@ -155,7 +171,7 @@ def claims_of(pile, name, size, network):
 
 
 def table(data):
-    rows = [["circles", "start", *(f"{stage}, ms" for stage in STAGES), "all, ms", "sweeps", "not reached"]]
+    rows = [["circles", "start", *(f"{stage}, ms" for stage in COLOURS), "all, ms", "sweeps", "not reached"]]
     for size, pile in data["piles"].items():
         for name, start in pile["starts"].items():
             stages = [values.mean() for values in times(pile, name).values()]
@@ -163,7 +179,7 @@ def table(data):
             label = plotting.style_of(name)["label"]
             rows.append([size, label, *(ms or None for ms in stages), sum(stages), sweeps, missed])
         for name, why in pile["refused"].items():
-            nothing = [None] * (len(STAGES) + 2)
+            nothing = [None] * (len(COLOURS) + 2)
             rows.append([size, plotting.style_of(name)["label"], *nothing, f"refused: its {why.partition(':')[0]}"])
     return rows
 
@@ -175,7 +191,7 @@ def draw(data, options):
     for ax, (size, pile) in zip(panels[0], solved.items()):
         names = list(pile["starts"])
         stages, left = [times(pile, name) for name in names], np.zeros(len(names))
-        for stage in STAGES:
+        for stage in COLOURS:
             widths = np.array([of_start[stage].mean() for of_start in stages])
             ax.barh(range(len(names)), widths, left=left, color=COLOURS[stage], label=stage, height=0.7)
             left += widths

@@ -55,16 +55,9 @@ def measure(name, n, options, seed, jobs):
     return {"scene": name, "n_bodies": n, "rows": rows, "presets": runs.presets(rows), "chosen": chosen}
 
 
-VALUE = 0
-"""Place of an error in [value, low, high]."""
-
-LOW = 1
-"""Place of the lower end of its interval."""
-
-
-def worst(row, preset, end=VALUE):
-    """The largest error of a row over its tolerance."""
-    return excess({name: error and error[end] for name, error in row["errors"].items()}, PRESETS[preset])
+def worst(row, preset, at=0):
+    """The largest error of a row over its tolerance. at: 0 for the error, 1 for the lower end of its interval."""
+    return excess({name: error and error[at] for name, error in row["errors"].items()}, PRESETS[preset])
 
 
 def verdict(one, preset):
@@ -77,7 +70,7 @@ def verdict(one, preset):
     if mine and any(row["peers"].values()):
         return row["ratio"]
     if mine:
-        return "undecided" if any(worst(other, preset, LOW) <= 1 for other in theirs) else "ours"
+        return "undecided" if any(worst(other, preset, 1) <= 1 for other in theirs) else "ours"
     return "a rival" if any(row["peers"].values()) else "none"
 
 
@@ -96,7 +89,7 @@ def claims(data):
         over = {}
         for name, (one, preset) in cells.items():
             taken = next(row for row in one["rows"] if row["name"] == one["chosen"][preset])
-            over[name] = [worst(taken, preset, end) for end in (VALUE, LOW)]
+            over[name] = [worst(taken, preset, at) for at in (0, 1)]
         missed = {name: both for name, both in over.items() if both[0] > 1}
         measured = {
             "of": len(over),
@@ -141,9 +134,8 @@ def draw(data, options):
             ax.plot(np.full(alone.size, 1.4 * most), alone, marker=">", markerfacecolor="none", **look)
         ax.axvline(1.0, color=plotting.BLACK, linewidth=0.7, linestyle=":")
         ax.set_xlim(left=0.0)
-        ax.set_ylim(-0.5, len(names) - 0.5)
+        ax.set(ylim=(-0.5, len(names) - 0.5), title=f"{n:,} circles", xlabel="fastest rival / ours")
     plotting.name_bars(panels[0, 0], names)
-    plotting.label_grid(panels, map("{:,} circles".format, sizes), "fastest rival / ours", [""])
     title = "What does the same accuracy cost where walls have shapes? (arrows: no rival keeps it)"
     return plotting.legend_below(figure, panels[0, 0], title)
 

@@ -59,8 +59,11 @@ def draw(data, options):
     for ax, (name, n) in zip(panels.flat, product(SHOWN, sizes)):
         trade.draw_plane(ax, [row for row in data["rows"] if row["n_bodies"] == n], name, names=n == sizes[-1])
         ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if n < 10_000 else (1.0,)))
-    texts = (f"{text} (%)" for text in SHOWN.values())
-    plotting.label_grid(panels, map("{:,} circles".format, sizes), "time of 10 ms (µs)", texts)
+    for top, bottom, n in zip(panels[0], panels[-1], sizes):
+        top.set_title(f"{n:,} circles")
+        bottom.set_xlabel("time of 10 ms (µs)")
+    for ax, text in zip(panels[:, 0], SHOWN.values()):
+        ax.set_ylabel(f"{text} (%)")
     key = panels[0, 0]
     key.plot([], [], "o", color=plotting.BLUE, markersize=4, label="ours, every setting")
     key.plot([], [], color=plotting.BLACK, linewidth=1.2, label="best of ours")

@@ -7,7 +7,8 @@ import numpy as np
 from deep_contact import parallel
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import extremes
-from deep_contact.studies.extremes import ABSENT, DEGRADED, ENGINES, FAILED, REFUSED, SAFE
+from deep_contact.studies.extremes import ABSENT, DEGRADED, ENGINES, FAILED, QUANTITIES, REFUSED, SAFE
+from deep_contact.validation import one_of
 
 ROUNDING = 1e-9
 """Rise of the energy that rounding may cause, as a share of its initial value."""
@@ -16,10 +17,14 @@ MILD_START = 1e12
 
 
 def compute(options, seed, jobs, progress):
-    """Every value of every quantity in every engine."""
-    cases = extremes.cases(options["quantities"], quick=options["few"], steps=options["steps"])
+    """Every value of every quantity, or every other one, in every engine that has it."""
+    cases, units = [], {}
+    for name in options["quantities"]:
+        units[name], values, _ = QUANTITIES[one_of("quantities", name, QUANTITIES)]
+        cells = product(values[:: 1 + options["few"]], ENGINES[:1] if name in extremes.OURS_ALONE else ENGINES)
+        cases += [{"quantity": name, "value": v, "engine": engine, "steps": options["steps"]} for v, engine in cells]
     cells = parallel.parallel_map(extremes.run_case, cases, jobs=jobs, progress=progress, text="scenes")
-    return {"units": {name: extremes.QUANTITIES[name][0] for name in options["quantities"]}, "cells": cells}
+    return {"units": units, "cells": cells}
 
 
 def unearned(cell):
@@ -121,7 +126,7 @@ def draw(data, options):
     return figure
 
 
-OPTIONS = {"quantities": list(extremes.QUANTITIES), "few": False, "steps": 400}
+OPTIONS = {"quantities": list(QUANTITIES), "few": False, "steps": 400}
 QUICK = {"quantities": ["mass", "radius ratio", "speed", "overlap", "sweeps"], "few": True, "steps": 100}
 FIGURE = Figure("6.6", "Stability at the extremes: what is safe, degraded, failed and refused", compute, table, draw,
                 claims, options=OPTIONS, quick=QUICK)  # fmt: skip

@@ -52,6 +52,12 @@ def apart(one: State, other: State) -> float:
     return float(np.hypot(*(one.bodies.position - other.bodies.position).T).max())
 
 
+def ratio(general: np.ndarray, special: np.ndarray) -> dict[str, float]:
+    """What the special way saves: median and quartiles of the ratios of paired times, (repeats,), and both minima."""
+    low, middle, high = np.percentile(general / special, (25, 50, 75))
+    return {"ratio": middle, "low": low, "high": high, "general": general.min(), "special": special.min()}
+
+
 def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
     """What rows without tangents save a sweep of a resting pile, ns per contact and sweep.
 
@@ -73,7 +79,7 @@ def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
     relaxations = (many - FEW) * pile.contacts.count
     general, special = (1e9 * (times[name, many] - times[name, FEW]) / relaxations for name in ways)
     ends = (simulate(state, steps=steps, solver=STEP).state for state in (nearly, frictionless))
-    return timing.ratio(general, special) | {"apart": apart(*ends)}
+    return ratio(general, special) | {"apart": apart(*ends)}
 
 
 def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
@@ -93,7 +99,7 @@ def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[
     ends = {name: one.state for name, one in ways.items()}
     times = {name: took / steps for name, took in interleaved(runs, repeats=repeats).items()}
     return {
-        name: timing.ratio(times["awake"], times[name]) | {"apart": apart(ends["awake"], ends[name])}
+        name: ratio(times["awake"], times[name]) | {"apart": apart(ends["awake"], ends[name])}
         for name in ways.keys() - {"awake"}
     }
 
@@ -116,7 +122,7 @@ def island_savings(scene: State, *, steps: int, every: int) -> dict:
 def saving_by_scene(runs: list[dict], unit: str) -> dict:
     """The saving in the runs of `island_savings`, of "relaxations" or "seconds". "apart" is that of one step."""
     general, special = np.array([run[unit] for run in runs], dtype=float).T
-    return timing.ratio(general, special) | {"apart": constants.TIME_STEP * max(run["difference"] for run in runs)}
+    return ratio(general, special) | {"apart": constants.TIME_STEP * max(run["difference"] for run in runs)}
 
 
 JOBS = {
@@ -129,11 +135,9 @@ JOBS = {
 
 
 def job(name: str) -> dict:
-    """{"seconds", "heavy", "memory_mb"} of `timing.fresh`, after a first process has filled the caches."""
+    """What `timing.fresh` says of a job, after a first process has filled the caches."""
     timing.fresh(JOBS[name])
-    took = timing.fresh(JOBS[name])
-    kib = took.pop("memory_kib")
-    return took | {"memory_mb": kib and kib / 1024}
+    return timing.fresh(JOBS[name])
 
 
 NAMES = {

@@ -147,16 +147,6 @@ def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title:
         ax.set_title(title)
 
 
-def label_grid(panels, titles: Iterable[str], x: str, rows: Iterable[str]) -> None:
-    """Label panels, (rows, columns): a title above each column, `x` below all of them, and a label beside each row."""
-    for ax, title in zip(panels[0], titles):
-        ax.set_title(title)
-    for ax in panels[-1]:
-        ax.set_xlabel(x)
-    for ax, text in zip(panels[:, 0], rows):
-        ax.set_ylabel(text)
-
-
 def name_bars(ax, names: Sequence[str]) -> None:
     """Name horizontal bars at 0, 1, …, the first one above; no line of the grid runs along them."""
     ax.set_yticks(range(len(names)), names)
@@ -297,7 +287,10 @@ def draw_state(
 
     circles.update_scalarmappable()
     colours = readable_on(np.atleast_2d(circles.get_facecolor()))
-    ax.add_collection(LineCollection(ticks(bodies), colors=colours, linewidths=1.0))
+    heading = np.stack([np.cos(bodies.angle), np.sin(bodies.angle)], axis=1) * bodies.radius[:, None]
+    # From half the radius on: a whole one looks like a contact.
+    ticks = np.stack([bodies.position + 0.5 * heading, bodies.position + 0.95 * heading], axis=1)
+    ax.add_collection(LineCollection(ticks, colors=colours, linewidths=1.0))
     if contacts and state.contacts is not None and state.contacts.count:
         impulse = state.contacts.normal_impulse
         largest = float(impulse.max()) if largest_impulse is None else largest_impulse
@@ -307,12 +300,6 @@ def draw_state(
             look = {"colors": colour, "linewidths": width + more, "capstyle": "round"}
             ax.add_collection(LineCollection(contact_lines(state), **look))
     return circles
-
-
-def ticks(bodies) -> np.ndarray:
-    """Lines that show the orientations, (n, 2, 2), m, from half the radius on: a whole one looks like a contact."""
-    heading = np.stack([np.cos(bodies.angle), np.sin(bodies.angle)], axis=1) * bodies.radius[:, None]
-    return np.stack([bodies.position + 0.5 * heading, bodies.position + 0.95 * heading], axis=1)
 
 
 def draw_forces(ax, state, *, largest: float | None = None) -> None:

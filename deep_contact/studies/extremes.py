@@ -18,24 +18,22 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
-from itertools import product
+from timeit import timeit
 
 import numpy as np
 
-from deep_contact import constants, peers
+from deep_contact import constants
 from deep_contact.constants import POSITION_TOLERANCE, WALL_SKIN
 from deep_contact.physics import metrics
 from deep_contact.physics.ready import ready
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
 from deep_contact.physics.solvers import PGS
-from deep_contact.simulation import simulate
 from deep_contact.state import State, World
 from deep_contact.state.arrays import Bodies
 from deep_contact.state.checks import make_bodies
 from deep_contact.state.scales import mean
 from deep_contact.stiffness import stiffness
-from deep_contact.studies import timing
-from deep_contact.validation import one_of
+from deep_contact.trade import Run, setting_of
 
 SAFE, DEGRADED, FAILED, REFUSED, ABSENT = ("safe", "degraded", "failed", "refused", "absent")
 ENGINES = ("ours", "Box2D 2.3", "pymunk")
@@ -80,20 +78,18 @@ def measure(trial: Trial, engine: str = "ours") -> dict:
     The numbers are None where there is no run, or no finite one.
 
     The scale of energy is the initial energy, kinetic and potential above the lowest place in the box; where
-    that is 0, the kinetic energy of all circles at 1 m/s. Raises ValueError on an unknown engine.
+    that is 0, the kinetic energy of all circles at 1 m/s.
     """
-    one_of("engine", engine, ENGINES)
     # To read the bodies of other engines takes longer than a step of theirs.
     every = 1 if engine == "ours" else max(1, trial.scene.bodies.count // 250)
     watch, more = _Watch(trial, every), max(20, trial.steps // 10)
     try:
-        advance, bodies = _begin(trial, engine)
+        run = _begin(trial, engine)
         for _ in range(trial.steps // every):
-            advance(every)
-            watch.see(bodies(), ours=engine == "ours")
+            run.advance(every)
+            watch.see(run.state().bodies, ours=engine == "ours")
         with suppress(ValueError, ArithmeticError):
-            seconds, _ = timing.timed(partial(advance, more), time.thread_time)
-            watch.us = 1e6 * seconds / more
+            watch.us = 1e6 * timeit(partial(run.advance, more), timer=time.thread_time, number=1) / more
     except (ImportError, FileNotFoundError) as error:
         return _without_run(ABSENT, error)
     except (ValueError, AssertionError, ArithmeticError) as error:
@@ -107,23 +103,16 @@ def _without_run(verdict: str, error: Exception) -> dict:
     return {"verdict": verdict, "message": str(error).strip().splitlines()[-1], "finite": True, **nothing}
 
 
-def _begin(trial: Trial, engine: str) -> tuple[Callable, Callable]:
-    """Functions that do so many steps of a trial in an engine, and that return the bodies after them."""
+def _begin(trial: Trial, engine: str) -> Run:
+    """The run of a trial in an engine."""
     scene, solver = trial.scene, trial.solver
     if engine == "pymunk" and solver.sweeps == 0:
         raise ValueError("iterations must be positive and non-zero")  # Chipmunk prints this and ends the process
     if engine != "ours":
-        world = peers.ENGINES[engine](scene)
-        return lambda steps: world.run(steps, scene.dt, solver.sweeps, solver.position_sweeps), world.bodies
-    state = ready(scene)
-    stiff = stiffness(state) if trial.recognised else None
-    options = {"solver": stiff.solver() if stiff else solver, "warm_start": trial.warm_start}
-
-    def advance(steps: int) -> None:
-        nonlocal state
-        state = simulate(state, steps=steps, **options).state
-
-    return advance, lambda: state.bodies
+        budget = {"sweeps": solver.sweeps, "position_sweeps": solver.position_sweeps}
+        return Run(scene, {"engine": engine, "dt": scene.dt, **budget})
+    stiff = stiffness(ready(scene)) if trial.recognised else None
+    return Run(scene, setting_of(stiff.solver() if stiff else solver, scene.dt, trial.warm_start))
 
 
 class _Watch:
@@ -351,21 +340,11 @@ OURS_ALONE = ("tolerance", "start, huge", "start, pulling", "start, outside the 
 """Quantities that other engines do not have."""
 
 
-def cases(names, *, quick: bool, steps: int) -> list[dict]:
-    """The cells of the chart of some quantities, {"quantity", "value", "engine", "steps"} each.
-
-    quick: with every other value. Raises ValueError on an unknown name.
-    """
-    runs = []
-    for name in names:
-        _, values, _ = QUANTITIES[one_of("quantities", name, QUANTITIES)]
-        cells = product(values[:: 1 + quick], ENGINES[:1] if name in OURS_ALONE else ENGINES)
-        runs += [{"quantity": name, "value": value, "engine": engine, "steps": steps} for value, engine in cells]
-    return runs
-
-
 def run_case(case: dict) -> dict:
-    """`measure` of a case, after "quantity", "value" and "engine"; a scene that cannot be built is refused."""
+    """`measure` of a case {"quantity", "value", "engine", "steps"}, after the first three of these.
+
+    A scene that cannot be built is refused.
+    """
     _, _, trial_of = QUANTITIES[case["quantity"]]
     about = {"quantity": case["quantity"], "value": float(case["value"]), "engine": case["engine"]}
     try:

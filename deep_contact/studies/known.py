@@ -22,13 +22,14 @@ G = -GRAVITY[1]
 
 def error(setting: Mapping) -> float:
     """The largest error of a setting among these motions, % of their speeds. setting: as `trade.solver_of` reads it."""
-    return 100.0 * max(wrong(_end(scene, setting, seconds)) for scene, seconds, wrong in motions())
+    return 100.0 * max(wrong(end(setting, scene, seconds).bodies) for scene, seconds, wrong in motions())
 
 
-def _end(scene: State, setting: Mapping, seconds: float) -> Bodies:
+def end(setting: Mapping, scene: State, seconds: float) -> State:
+    """The state of a scene after a run with a setting."""
     run = Run(scene, setting)
     run.advance(round(seconds / setting["dt"]))
-    return run.state().bodies
+    return run.state()
 
 
 def motions() -> Iterator[tuple[State, float, Callable[[Bodies], float]]]:

@@ -176,9 +176,9 @@ def observed_rows(
     parts = [(key, common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": setting})
              for key, (setting, count) in cases.items() for one in parallel.seeds(seed, count)]  # fmt: skip
     parts.sort(key=lambda part: part[0][1] / part[1]["setting"]["dt"])  # the quick ones first
-    tasks, functions = [("observed", part) for _, part in parts], {"observed": partial(observed, make)}
     seen: dict[Key, list] = {key: [] for key in cases}  # in the order of seeds: each meets the reference of its scene
-    for (key, _), stored in zip(parts, done(tasks, functions, work=work, jobs=jobs, text="errors")):
+    tasks = [part for _, part in parts]
+    for (key, _), stored in zip(parts, done("observed", partial(observed, make), tasks, work=work, jobs=jobs)):
         seen[key].append(observation(stored))
     references, rows = {}, {}
     for key, ensemble in seen.items():
@@ -202,11 +202,11 @@ def timed_rows(
     scenes = parallel.seeds(seed, max(times.values(), default=0))
     for number, one in enumerate(scenes):
         keys = [key for key in rows if times.get(key, 0) > number]
-        parts = [("timed", common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": rows[key]["setting"]})
+        parts = [common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": rows[key]["setting"]}
                  for key in keys]  # fmt: skip
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
             jobs = alone if len(scenes) > 1 else 1
-            for key, us in zip(keys, done(parts, {"timed": partial(timed, make)}, work=work, jobs=jobs, text="times")):
+            for key, us in zip(keys, done("timed", partial(timed, make), parts, work=work, jobs=jobs)):
                 took[key].append(us)
     return [row | {"us": float(np.median(took[key])) if took[key] else None, "times": took[key]}
             for key, row in rows.items()]  # fmt: skip
@@ -215,30 +215,20 @@ def timed_rows(
 # ---- parts that are kept: an interrupted study goes on where it stopped ----
 
 
-def done(
-    parts: Sequence[tuple[str, dict]], functions: Mapping[str, Callable], *, work: Path, jobs: int | Executor, text: str
-) -> list:
-    """The results of parts (name, arguments), in their order: read from `work`, or computed and stored there.
+def done(name: str, function: Callable, parts: Sequence[dict], *, work: Path, jobs: int | Executor) -> list:
+    """What a function returns of parts, its arguments, in their order: read from `work`, or computed and stored there.
 
-    functions: name -> function of the arguments, found by import, whose result JSON can hold. A part with other
-    arguments is another part. One that JSON cannot read is computed again. jobs: as in `parallel.finished`; a process
-    stores its own parts. text: of the progress bar.
+    name: of the files. function: found by import; JSON can hold its result. A part with other arguments is another
+    part. One that JSON cannot read is computed again. jobs: as in `parallel.finished`; a process stores its own parts.
     """
     work.mkdir(parents=True, exist_ok=True)
-    tasks = [
-        (functions[name], arguments, work / f"{name}_{arguments['n_bodies']}_{digest_of([name, arguments])}.json")
-        for name, arguments in parts
-    ]
-    return parallel.parallel_map(_done, tasks, jobs=jobs, progress=parallel.progress_bar, text=text)
+    run = partial(_done, name, function, work)
+    return parallel.parallel_map(run, parts, jobs=jobs, progress=parallel.progress_bar, text=name)
 
 
-def digest_of(value) -> str:
-    """Sixteen hexadecimal digits of a value that JSON can hold."""
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]
-
-
-def _done(task: tuple[Callable, dict, Path]):
-    function, arguments, path = task
+def _done(name: str, function: Callable, work: Path, arguments: dict):
+    digest = hashlib.sha256(json.dumps(arguments, sort_keys=True).encode()).hexdigest()[:16]
+    path = work / f"{name}_{arguments['n_bodies']}_{digest}.json"
     with suppress(FileNotFoundError, ValueError):
         return json.loads(path.read_text(encoding="utf-8"))
     result = results.plain(function(**arguments))

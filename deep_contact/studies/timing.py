@@ -7,24 +7,12 @@ meanwhile.
 
 from __future__ import annotations
 
-import gc
 import json
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping
-from typing import TypeVar
-
-import numpy as np
-
-Result = TypeVar("Result")
-
-
-def timed(function: Callable[[], Result], clock: Callable[[], float] = time.perf_counter) -> tuple[float, Result]:
-    """Time of one call, and what it returned. clock: `time.thread_time` counts only what this thread works."""
-    start = clock()
-    result = function()
-    return clock() - start, result
+from timeit import Timer
 
 
 def interleaved(
@@ -38,28 +26,17 @@ def interleaved(
     """Time of several callables, name -> `reduce` of a list of `repeats` times, after a warm-up run of each.
 
     runs: name -> callable without arguments; they take turns in this order. setup: name -> callable that is called
-    before each run of that name and is not timed. The garbage collector waits until all runs are done.
+    before each run of that name and is not timed. The garbage collector waits until a run is done. clock:
+    `time.thread_time` counts only what this thread works.
     """
-    times = {name: [] for name in runs}
-    setup = setup or {}
-    gc.collect()
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        for _ in range(repeats + 1):
-            for name, run in runs.items():
-                if name in setup:
-                    setup[name]()
-                times[name].append(timed(run, clock)[0])
-    finally:
-        if was_enabled:
-            gc.enable()
+    times, setup = {name: [] for name in runs}, setup or {}
+    timers = {name: Timer(run, timer=clock) for name, run in runs.items()}
+    for _ in range(repeats + 1):
+        for name, timer in timers.items():
+            if name in setup:
+                setup[name]()
+            times[name].append(timer.timeit(number=1))
     return {name: reduce(took[1:]) for name, took in times.items()}
-
-
-def fastest(function: Callable[[], object], repeats: int, clock: Callable[[], float] = time.perf_counter) -> float:
-    """Least time of `repeats` calls, after a warm-up run."""
-    return interleaved({"": function}, repeats=repeats, clock=clock)[""]
 
 
 _PROBE = """
@@ -70,24 +47,18 @@ took = time.perf_counter() - begin
 heavy = [name for name in ("numpy", "numba", "scipy", "lxml", "h5py", "keras", "tensorflow") if name in sys.modules]
 try:
     with open("/proc/self/status") as status:
-        memory = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
+        memory = next(int(line.split()[1]) / 1024 for line in status if line.startswith("VmHWM"))
 except OSError:
     memory = None
-print(json.dumps({"seconds": took, "heavy": heavy, "memory_kib": memory}))
+print(json.dumps({"seconds": took, "heavy": heavy, "memory_mb": memory}))
 """
 
 
 def fresh(code: str) -> dict:
     """What Python code takes in a process of its own.
 
-    Returns {"seconds": without the interpreter's start, "heavy": packages that it loads, "memory_kib": largest resident
+    Returns {"seconds": without the interpreter's start, "heavy": packages that it loads, "memory_mb": largest resident
     memory, with the interpreter's, or None where it is unknown}. (What `getrusage` says is no less than its parent's.)
     """
     done = subprocess.run([sys.executable, "-c", _PROBE, code], stdout=subprocess.PIPE, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
-
-
-def ratio(general: np.ndarray, special: np.ndarray) -> dict[str, float]:
-    """What the special way saves: median and quartiles of the ratios of paired times, (repeats,), and both minima."""
-    low, middle, high = np.percentile(general / special, (25, 50, 75))
-    return {"ratio": middle, "low": low, "high": high, "general": general.min(), "special": special.min()}

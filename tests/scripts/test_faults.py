@@ -72,8 +72,8 @@ def compute(n_bodies, k):
         os.kill(os.getpid(), signal.SIGKILL)
     return {"k": k}
 
-parts = [("part", {"n_bodies": 1, "k": k}) for k in range(4)]
-found = done(parts, {"part": compute}, work=Path(sys.argv[1]), jobs=1, text="")
+parts = [{"n_bodies": 1, "k": k} for k in range(4)]
+found = done("part", compute, parts, work=Path(sys.argv[1]), jobs=1)
 assert found == [{"k": k} for k in range(4)]
 """
 

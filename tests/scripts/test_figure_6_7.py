@@ -9,6 +9,12 @@ from conftest import circles_at, load_script
 savings = load_script("figure_6_7")
 
 
+def test_the_ratio_is_that_of_paired_times():
+    found = savings.ratio(np.array([2.0, 9.0, 8.0]), np.array([1.0, 3.0, 2.0]))
+    assert (found["ratio"], found["general"], found["special"]) == (3.0, 2.0, 1.0)
+    assert (found["low"], found["high"]) == (2.5, 3.5)
+
+
 def test_a_saving_is_the_median_of_the_ratios_of_scenes():
     """Of three scenes, 30 : 10, 40 : 20 and 10 : 5; the least of each is what is paid."""
     pairs, far = [(30, 10), (40, 20), (10, 5)], [0.0, 0.5, 0.1]

@@ -12,7 +12,7 @@ from deep_contact import parallel
 from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec
-from deep_contact.studies import chapter_5, learned_starts, starts
+from deep_contact.studies import chapter_5, starts
 from deep_contact.warm_start import Builtin, NoStart, Sph
 
 
@@ -108,7 +108,7 @@ def test_the_last_stage_of_a_start_gives_its_impulses(falling_states, network, k
     of_sph = kind in ("thesis", "spline")
     path = str(network if kind == "both" else "models/model.h5")
     start = Sph(transfer=kind) if of_sph else starts.start_of({"model": path})
-    stages = learned_starts.stages_of(start, falling_states[5])
+    stages = load_script("figure_5_10").stages_of(start, falling_states[5])
     assert list(stages) == ["splat", "gather"] if of_sph else ["splat", "network", "gather"]
     np.testing.assert_array_equal(stages["gather"](), start(falling_states[5], dc.PGS()))
 

@@ -11,7 +11,7 @@ from deep_contact.trade import setting_of
 def test_a_good_setting_makes_every_known_motion(number):
     scene, seconds, wrong = list(known.motions())[number]
     setting = setting_of(dc.PGS(sweeps=20, tolerance=None), 0.0025)
-    assert wrong(known._end(scene, setting, seconds)) < 2e-3  # first order in Δt
+    assert wrong(known.end(setting, scene, seconds).bodies) < 2e-3  # first order in Δt
 
 
 def test_over_relaxed_sweeps_that_are_few_are_found():

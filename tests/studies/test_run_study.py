@@ -138,11 +138,11 @@ def test_a_step_that_misses_the_observations_is_refused():
 
 @pytest.mark.parametrize("damage", [b"", b'{"k": ', b"\xff\x00", b"\0" * 8])
 def test_a_damaged_part_of_a_study_is_computed_again(tmp_path, damage):
-    parts, calls = [("observed", {"n_bodies": 1, "k": k}) for k in range(3)], []
-    functions = {"observed": lambda n_bodies, k: calls.append(k) or {"k": k}}
-    first = done(parts, functions, work=tmp_path, jobs=1, text="parts")
+    parts, calls = [{"n_bodies": 1, "k": k} for k in range(3)], []
+    compute = lambda n_bodies, k: calls.append(k) or {"k": k}  # noqa: E731
+    first = done("part", compute, parts, work=tmp_path, jobs=1)
     sorted(tmp_path.iterdir())[1].write_bytes(damage)
-    assert done(parts, functions, work=tmp_path, jobs=1, text="parts") == first
+    assert done("part", compute, parts, work=tmp_path, jobs=1) == first
     assert len(calls) == 4
 
 
