@@ -30,13 +30,11 @@ from deep_contact.validation import brief, expect
 class _Peer:
     """What the adapters share. A subclass builds its world and lists its bodies in `_bodies`, in our order.
 
-    name: of the engine. package: of its Python module and distribution. takes_threads: whether it is made with an
-    option `threads`. reach: gap below which it makes a contact, m.
+    name: of the engine. package: of its Python module and distribution. reach: gap below which it makes a contact, m.
     """
 
     name: str
     package: str
-    takes_threads = False
     reach = 0.0
     _fields: tuple[str, ...]
     """The engine's names of position, velocity, angle, angular velocity and mass of a body."""
@@ -124,7 +122,6 @@ class Pymunk(_Peer):
     """
 
     name = package = "pymunk"
-    takes_threads = True
     _fields = ("position", "velocity", "angle", "angular_velocity", "mass")
 
     def __init__(self, state: State, *, threads: int = 1, slop: float = 1.0, bias: float = constants.BAUMGARTE):
@@ -171,7 +168,7 @@ class Box2D3(_Peer):
     """
 
     name, package = "Box2D v3", "pyb2d3"
-    takes_threads, reach = True, 4 * constants.LINEAR_SLOP
+    reach = 4 * constants.LINEAR_SLOP
 
     def __init__(self, state: State, *, threads: int = 1, hertz: float = 30.0):
         super().__init__(state)

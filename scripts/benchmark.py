@@ -20,13 +20,12 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact import peers
+from deep_contact.constants import TIME_STEP
 from deep_contact.physics.solvers import PGS, BatchedPGS
 from deep_contact.reporting import Claim, Figure, figures
 from deep_contact.state import State
 from deep_contact.studies import piles, timing
 
-TIME_STEP = 0.01
-"""Δt, s."""
 POSITION_SWEEPS = 3
 """Most sweeps of position correction in a step."""
 FEW = 10
@@ -68,11 +67,7 @@ class Ours:
         return self.state.contacts.count
 
 
-PEERS = peers.ENGINES | {
-    f"{name}, two threads": partial(adapter, threads=2)
-    for name, adapter in peers.ENGINES.items()
-    if adapter.takes_threads
-}
+PEERS = peers.ENGINES | {f"{one.name}, two threads": partial(one, threads=2) for one in (peers.Pymunk, peers.Box2D3)}
 ENGINES = {
     "ours": Ours,
     "in colours": partial(Ours, method=BatchedPGS),
@@ -240,13 +235,9 @@ def live(options, seed, jobs, progress):
 
 def live_table(data):
     """Microseconds of a step of every way; quiet: the least, beside others: the median."""
-    ways = [*data["runs"][0]["us"]]
-    shown = [[run["us"][way][run["busy"] > 0] for way in ways] for run in data["runs"]]
-    rows = [
-        [run["n_bodies"], run["busy"], *(round(us, 1) if us < 100 else round(us) for us in times)]
-        for run, times in zip(data["runs"], shown)
-    ]
-    return [["circles", "busy processes", *(f"{way}, µs" for way in ways)], *rows]
+    rows = [[run["n_bodies"], run["busy"], *(f"{us[run['busy'] > 0]:,.1f}" for us in run["us"].values())]
+            for run in data["runs"]]  # fmt: skip
+    return [["circles", "busy processes", *(f"{way}, µs" for way in data["runs"][0]["us"])], *rows]
 
 
 FIGURES = {

@@ -173,18 +173,13 @@ LISTS = {
 """Settings by number of circles: of most kinds, of `DENSE_KINDS`, of `WALLED_KINDS`, and two of plain piles alone."""
 
 
-def list_of(kind: str) -> str:
-    """The name in `LISTS` of the settings of a kind."""
-    return "dense" if kind in runs.DENSE_KINDS else "walled" if kind in runs.WALLED_KINDS else "settings"
-
-
 def wanted(options: Mapping) -> dict[tuple[str, int, str], tuple[dict, int]]:
     """(Kind, n_bodies, name) -> (setting, number of seeds); of a name that is there twice, the first has the most."""
     cases_by_name = {}
     for n, kinds in options["seeds"].items():
         for kind, count in kinds.items():
-            ours = LISTS[list_of(kind)][n]
-            lists = [([runs.REFERENCE, *ours, *MORE.get(kind, {}).get(n, [])], count)]
+            of = "dense" if kind in runs.DENSE_KINDS else "walled" if kind in runs.WALLED_KINDS else "settings"
+            lists = [([runs.REFERENCE, *LISTS[of][n], *MORE.get(kind, {}).get(n, [])], count)]
             if kind == "plain":
                 lists += [(LISTS["ladder"][n], options["ladder_seeds"][n])]
                 lists += [(LISTS["peers"][n][:: options["peers"]], options["peer_seeds"][n])]
