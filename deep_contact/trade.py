@@ -22,7 +22,6 @@ from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from itertools import product
 from pathlib import Path
 from timeit import timeit
 
@@ -309,15 +308,15 @@ class Trade:
         limits = tolerances or PRESETS[one_of("accuracy", accuracy or "fast", PRESETS)]
         limits = {name: most for name, most in limits.items() if name in known}
 
-        def at(end):
-            of = [{name: row["errors"][name] or (math.inf,) * 3 for name in limits} for row in mine]
-            return [row | {"errors": {name: three[end] for name, three in one.items()}} for row, one in zip(mine, of)]
+        def over(row, end):
+            errors = {name: (row["errors"][name] or (math.inf,) * 3)[end] for name in limits}
+            return presets.excess(errors, limits)
 
-        kept = presets.keeping(at(2), limits, margin=False) or presets.keeping(at(0), limits)
-        if not kept:
-            warnings.warn("trade: no setting keeps it; the nearest is taken", presets.PresetWarning, stacklevel=3)
-        best = min(kept, key=lambda row: row["us"]) if kept else presets.cheapest(at(0), limits)
-        return next(row for row in mine if row["name"] == best["name"])
+        for end, most in ((2, 1.0), (0, presets.MARGIN), (0, 1.0)):
+            if kept := [row for row in mine if over(row, end) <= most]:
+                return min(kept, key=lambda row: row["us"])
+        warnings.warn("trade: no setting keeps it; the nearest is taken", presets.PresetWarning, stacklevel=3)
+        return min(mine, key=lambda row: (over(row, 0), row["us"]))
 
     def enough(self, name: str, difference: float) -> int:
         """The number of seeds with which chance makes at most half of a difference between errors."""
@@ -490,10 +489,10 @@ def _intervals(trade: Trade) -> tuple[int, float]:
 def _run(trade: Trade, states: Sequence[State], quantities: Mapping, minutes: float | None, jobs) -> None:
     """Do all runs, until the time is over or the user interrupts them; what they gave is in the trade."""
     settings = {REFERENCE: trade.reference, **trade.settings, HALF: trade.half}
-    runs = [run for run in product(settings, range(len(states))) if run not in trade.observed]
-    runs.sort(key=lambda run: run[1])  # seed by seed: a budget that ends leaves out seeds, not settings
+    # Seed by seed: a budget that ends leaves out seeds, not settings.
+    runs = [(name, i) for i in range(len(states)) for name in settings if (name, i) not in trade.observed]
     where = *_intervals(trade), quantities
-    tasks = [(states[i], settings[name], *where, _is_timed(trade, name, i)) for name, i in runs]
+    tasks = [(states[i], settings[name], *where, i < TIMED and name in trade.settings) for name, i in runs]
     end = math.inf if minutes is None else time.monotonic() + 60.0 * minutes
     try:
         with closing(parallel.finished(_task, tasks, jobs=jobs)) as done:
@@ -536,11 +535,6 @@ def _checked(steps, minutes, seeds, quantities, jobs) -> tuple[list[int], dict[s
     numbers = [integer("seeds", seed) for seed in several]
     expect(numbers and len(set(numbers)) == len(numbers), f"seeds: expected different numbers, got {brief(numbers)}")
     return numbers, quantities
-
-
-def _is_timed(trade: Trade, name: str, i: int) -> bool:
-    """Whether a run of the seed with this number is timed: of a setting, not of the reference."""
-    return i < TIMED and name in trade.settings
 
 
 def _task(task: tuple) -> tuple[float | None, Observation] | str:

@@ -94,7 +94,7 @@ def work():
 class Slow:
     """A stand-in for another engine whose first step and destruction take a tenth of a second."""
 
-    takes_threads, name = False, "slow"
+    name = "slow"
 
     def __init__(self, state):
         self.steps = 0
