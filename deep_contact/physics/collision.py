@@ -84,9 +84,8 @@ def make_cells(n):
     )  # fmt: skip
 
 
-def make_contacts(capacity):
-    """A buffer of contacts. Nothing is written into it: memory that is not touched costs nothing."""
-    m = capacity
+def make_contacts(m):
+    """A buffer of m contacts. Nothing is written into it: memory that is not touched costs nothing."""
     return Contacts(
         np.empty(m, np.int64), np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2)), np.empty(m),
         np.empty(m), np.empty(m), np.empty(m), np.empty(m),
@@ -103,16 +102,6 @@ def some_contacts(buffer, i, j):
     return Contacts(
         buffer.body_a[i:j], buffer.body_b[i:j], buffer.position[i:j], buffer.normal[i:j], buffer.separation[i:j],
         buffer.normal_impulse[i:j], buffer.tangent_impulse[i:j], buffer.normal_start[i:j], buffer.tangent_start[i:j],
-    )  # fmt: skip
-
-
-@njit(cache=True)
-def own_contacts(contacts):
-    """The contacts in memory of their own, no larger than they are."""
-    return Contacts(
-        contacts.body_a.copy(), contacts.body_b.copy(), contacts.position.copy(), contacts.normal.copy(),
-        contacts.separation.copy(), contacts.normal_impulse.copy(), contacts.tangent_impulse.copy(),
-        contacts.normal_start.copy(), contacts.tangent_start.copy(),
     )  # fmt: skip
 
 
@@ -414,20 +403,14 @@ def _sort_run(values, start, stop):
 
 
 @njit(cache=True, error_model="numpy")
-def find_contacts(position, radius, mass, box, segments, skin, cells, buffer):
+def find_contacts(position, radius, mass, box, segments, skin, cells, buffer, least=0):
     """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
 
     position: (n, 2), m. radius: (n,), m. mass: (n,), kg; None where no circle is fixed. box: (x_min, y_min, x_max,
     y_max), m, a tuple. segments: `Segments`. skin: of walls and segments, m. cells, buffer: memory to use.
-    Returns views of the buffer, or of a larger one.
+    least: see `write_geometry`. Returns views of the buffer, or of a larger one.
     """
     refresh_list(position, radius, cells, 0.0)
-    return contacts_at(position, radius, mass, box, segments, skin, cells, buffer, 0)
-
-
-@njit(inline="always")
-def contacts_at(position, radius, mass, box, segments, skin, cells, buffer, least):
-    """`find_contacts` after `refresh_list` at these positions. least: see `write_geometry`."""
     while True:
         m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
         if segments is not None:
@@ -599,14 +582,15 @@ def mass_if_fixed(bodies, drive):
 
 
 @njit(inline="always")
-def next_contacts(bodies, before, box, segments, skin, cells, solved, warm, buffer, drive, dt):
+def next_contacts(bodies, before, box, segments, skin, cells, solved, warm, buffer, drive, dt, least):
     """Contacts of the step after the one that `solved` those given, found where the bodies are now.
 
     before: where they were, (n, 2), m; read only where there are segments (`positions_before`). warm: with the impulses
-    that their pairs had solved; otherwise without. drive, dt: see `hold`. Returns the contacts: `find_contacts`.
+    that their pairs had solved; otherwise without. drive, dt: see `hold`. least: see `write_geometry`. Returns the
+    contacts: `find_contacts`.
     """
     hold(bodies, before, box, segments, skin, solved, drive, dt)
     mass = mass_if_fixed(bodies, drive)
-    contacts = find_contacts(bodies.position, bodies.radius, mass, box, segments, skin, cells, buffer)
+    contacts = find_contacts(bodies.position, bodies.radius, mass, box, segments, skin, cells, buffer, least)
     carry_impulses(solved, contacts, warm)
     return contacts

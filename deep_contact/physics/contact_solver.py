@@ -294,7 +294,8 @@ def integrate_positions(bodies, solver_bodies, step, segments, drive):
         move(bodies, solver_bodies, step.dt, step.scales.max_translation)
     else:
         if move(bodies, solver_bodies, step.dt, step.scales.max_translation) or has_moving(drive):
-            stop_fast_circles(bodies, step, segments, drive)
+            start = moved(bodies.position, bodies.velocity, -step.dt)
+            stop_fast(bodies, start, step.gravity, step.dt, step.box, segments, step.scales, drive)
     return True
 
 
@@ -306,13 +307,6 @@ def any_fast(solver_bodies, radius, dt):
         v_x, v_y = solver_bodies[i, V_X], solver_bodies[i, V_Y]
         fast |= v_x * v_x + v_y * v_y > (share * radius[i]) * (share * radius[i])
     return fast
-
-
-@njit(inline="always")
-def stop_fast_circles(bodies, step, segments, drive):
-    """Take back, in place, the way of circles that went fast by what they touched on it (`continuous`)."""
-    start = moved(bodies.position, bodies.velocity, -step.dt)
-    stop_fast(bodies, start, step.gravity, step.dt, step.box, segments, step.scales, drive)
 
 
 @njit(cache=True, error_model="numpy")

@@ -12,7 +12,7 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.compiled.direct import Direct
 from deep_contact.physics import sleeping
-from deep_contact.physics.collision import find_contacts, make_cells, make_contacts, next_contacts, own_contacts
+from deep_contact.physics.collision import find_contacts, make_cells, make_contacts, next_contacts
 from deep_contact.physics.contact_solver import (
     NORMAL,
     NORMAL_MASS,
@@ -32,7 +32,7 @@ from deep_contact.physics.convergence import ConvergenceRecord, all_finite, conv
 from deep_contact.physics.impacts import logged_rebound, rebound
 from deep_contact.physics.position_correction import correct_positions
 from deep_contact.physics.segments import moved_segments, positions_before, segments_in_grid
-from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
+from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax
 from deep_contact.physics.step import (
     DONE,
     FINITE,
@@ -51,11 +51,11 @@ from deep_contact.physics.step import (
     log_work,
     make_memory,
     make_setup,
+    part_of,
     with_rare,
-    with_segments,
     work_on,
 )
-from deep_contact.physics.substeps import depart, part_by_motion, rejoin
+from deep_contact.physics.substeps import fly_on, part_by_motion
 from deep_contact.state import State, native, notebook
 from deep_contact.state.arrays import Contacts
 from deep_contact.state.scales import ContactScales, mean
@@ -77,7 +77,7 @@ def advance(setup, contacts, motion, sleep, log, drive):
     """
     step, memory = setup.step, setup.memory
     if drive is not None:
-        step = with_segments(step, moved_segments(step.segments, drive, 0.0))
+        step = part_of(step, moved_segments(step.segments, drive, 0.0))
     part, turn, received = step, 0, log.received
     for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
         if sleeping.all_asleep(sleep, drive):
@@ -89,7 +89,7 @@ def advance(setup, contacts, motion, sleep, log, drive):
             continue
         if motion is not None:
             part = part_by_motion(step, part, memory.cells, drive)
-            depart(step, part, contacts, drive)
+            fly_on(step, part, contacts, step.dt - part.dt, drive)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
             is_whole, contacts, received, segments = do_part(
@@ -98,9 +98,9 @@ def advance(setup, contacts, motion, sleep, log, drive):
             if not is_whole:
                 return contacts, received
             if drive is not None:
-                part, step = with_segments(part, segments), with_segments(step, segments)
+                part, step = part_of(part, segments), part_of(step, segments)
         if motion is not None:
-            rejoin(step, part, contacts, drive)
+            fly_on(step, part, contacts, part.dt - step.dt, drive)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
@@ -142,7 +142,7 @@ def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive)
     # The contacts that the next part or step solves, and who sleeps in it.
     buffer, skin = memory.contacts[turn], scales.wall_skin
     following = next_contacts(
-        bodies, before, box, segments, skin, cells, contacts, options.carry, buffer, drive, part.dt
+        bodies, before, box, segments, skin, cells, contacts, options.carry, buffer, drive, part.dt, 0
     )
     sleeping.wake_and_put_to_sleep(part, following, sleep, drive)
     # The log.
@@ -162,9 +162,9 @@ class Steps:
 
     def __init__(self, solver, n: int, *, sleep: bool = False, carry: bool = True):
         entry = entry_of(solver)
-        self._advance = entry.advance(solver) if entry.advance else advance
+        self._advance = entry.advance or advance
         self._is_plain = not (sleep or entry.advance)  # whether nothing rare is compiled; once False, it stays
-        self._options = StepOptions(settings_of(solver), solver.position_sweeps, carry)
+        self._options = StepOptions(entry.settings(solver), solver.position_sweeps, carry)
         self._solver, self._memory, self._direct = solver, {}, {}
         self._asked = self._rare = None  # the last input of steps, and that of `with_rare`
         self._setups: dict = {}  # by buffer: the last input of steps, and its setup
@@ -204,7 +204,7 @@ class Steps:
     def _keep(self, following: Contacts, parts: int, buffer: int, key: bool) -> Contacts:
         """Note in which buffer the contacts lie that so many parts have left, which filled two of them by turns."""
         if self.sleep is not None:  # parts of those asleep fill none
-            following, buffer = own_contacts(following), -1
+            following, buffer = Contacts(*map(np.copy, following)), -1
         elif parts > 0:
             buffer = _BUFFERS[buffer][parts % 2]
         self._found = following.body_a, buffer, key
@@ -367,13 +367,11 @@ def motion_parts(solver) -> int:
     return 1 if most is None else most // solver.substeps
 
 
-def after_impacts(state: State) -> State:
-    """The state with the velocities after the impacts of its next step (`impacts`); itself where e = 0."""
-    return _after_impacts(state)[0]
+def after_impacts(state: State) -> tuple[State, np.ndarray]:
+    """The state with the velocities after the impacts of its next step (`impacts`), itself where e = 0.
 
-
-def _after_impacts(state: State) -> tuple[State, np.ndarray]:
-    """`after_impacts`, and `StepProblem.impacts`."""
+    And `StepProblem.impacts`.
+    """
     if state.world.restitution == 0.0:
         return state, np.zeros((0, 2))
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy(), spin=state.bodies.spin.copy())
@@ -385,7 +383,7 @@ def _after_impacts(state: State) -> tuple[State, np.ndarray]:
 
 def step_problem(state: State, scales: ContactScales | None = None) -> StepProblem:
     """The contact problem of the next step, with tangents. scales: the state's, if at hand."""
-    state, impacts = _after_impacts(state)
+    state, impacts = after_impacts(state)
     solver_bodies, step = np.empty((state.bodies.count + 4, 4)), step_input(state, None, scales)
     if step.drive is not None:
         solver_bodies = room_for_walls(solver_bodies, state.contacts, state.bodies.count, step.drive)
@@ -408,10 +406,8 @@ def contacts_of(state: State) -> Contacts:
     segments = segments_in_grid(world, reach_of(state, state.scales)) if world.segments else None
     mass = bodies.mass if bodies.is_fixed.any() else None
     where = bodies.position, bodies.radius, mass, world.box, segments, state.scales.wall_skin
-    contacts = own_contacts(find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64)))
-    for values in contacts[5:]:
-        values[:] = 0.0
-    return contacts
+    found = find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64))
+    return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
 
 
 def solve(
@@ -423,7 +419,7 @@ def solve(
     problem: of `step_problem(state)`, if it is at hand; it stays as it is.
     """
     solver = for_state(solver, state)
-    settings, n = settings_of(solver), state.bodies.count
+    settings, n = entry_of(solver).settings(solver), state.bodies.count
     state = state.replace(contacts=state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start))
     friction = None if leaves_tangents_out(state, solver) else state.world.friction
     rows, solver_bodies, *_ = started(problem or step_problem(state), state.contacts, friction)

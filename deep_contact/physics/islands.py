@@ -78,25 +78,17 @@ def sort_by_island(rows, workspace):
     start[count] = m
     sorted_rows = Rows(workspace.rows.body[:m], workspace.rows.data[:m], workspace.rows.impulse[:m])
     for i in range(m):
-        copy_row(rows, order[i], sorted_rows, i)
+        for c in range(2):
+            sorted_rows.body[i, c] = rows.body[order[i], c]
+        for c in range(rows.data.shape[1]):
+            sorted_rows.data[i, c] = rows.data[order[i], c]
+        for c in range(rows.impulse.shape[1]):
+            sorted_rows.impulse[i, c] = rows.impulse[order[i], c]
     return count, sorted_rows
 
 
-@njit(cache=True)
-def copy_row(rows, i, others, j):
-    """Write row i into row j of others, in place."""
-    for c in range(2):
-        others.body[j, c] = rows.body[i, c]
-    for c in range(rows.data.shape[1]):
-        others.data[j, c] = rows.data[i, c]
-    for c in range(rows.impulse.shape[1]):
-        others.impulse[j, c] = rows.impulse[i, c]
-
-
 def islands_of(state: State) -> np.ndarray:
-    """The island of each circle, (n,): the smallest index of a circle in it. Raises ValueError without contacts."""
-    if state.contacts is None:
-        raise ValueError("contacts: expected a state whose contacts have been found, got None")
+    """The island of each circle of a state that has contacts, (n,): the smallest index of a circle in it."""
     parent = np.empty(state.bodies.count, np.int64)
     unite(state.contacts.body_a, state.contacts.body_b, parent)
     return np.array([root_of(parent, i) for i in range(parent.size)], np.int64)

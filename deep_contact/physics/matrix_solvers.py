@@ -17,7 +17,8 @@ from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record, is_over
 from deep_contact.physics.lcp import ContactProblem, check_problem
 from deep_contact.physics.solvers import PGS, NesterovPGS, nesterov
-from deep_contact.validation import expect, floats, integer, number
+from deep_contact.physics.solvers.registry import tolerance_argument
+from deep_contact.validation import expect, floats
 
 
 class Blocks(NamedTuple):
@@ -60,11 +61,8 @@ def solve_problem(
     expect(fits, f"solver: expected one of PGS, NesterovPGS, without islands, got {solver!r}")
     problem = check_problem(problem)
     impulse = np.zeros(problem.b.size) if start is None else floats("start", start, problem.b.shape)
-    tolerance = -1.0 if solver.tolerance is None else number("tolerance", solver.tolerance, low=0)
-    theta = np.empty(integer("sweeps", solver.sweeps))
-    blocks = blocks_of(problem)
-    pairs = impulse.reshape(-1, 2)
-    done = _relax(blocks, pairs, tolerance, theta, isinstance(solver, NesterovPGS))
+    theta, blocks, pairs = np.empty(solver.sweeps), blocks_of(problem), impulse.reshape(-1, 2)
+    done = _relax(blocks, pairs, tolerance_argument(solver), theta, isinstance(solver, NesterovPGS))
     record = convergence_record(theta[:done], solver, blocks.mu.size)
     return np.column_stack(projected(pairs[:, 0], pairs[:, 1], problem.friction)).ravel(), record
 

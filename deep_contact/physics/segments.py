@@ -2,7 +2,7 @@
 
 A segment is (x_0, y_0, x_1, y_1), m, and the speed of its surface, m/s; the segments of a world are an array (S, 5).
 Where a circle is nearest to an end, the contact is that with a point. An end that lies on another segment or on a wall
-of the box, or just behind it, is no point of its own: that surface has the contact (`is_hidden`). Ghost vertices do
+of the box, or just behind it, is no point of its own: that surface has the contact (`touches`). Ghost vertices do
 this in chains of Box2D 2.3; without them, a circle that rolls over a joint stumbles.
 
 No centre ever crosses a segment: fast circles stop at it (`continuous`), and what sweeps or position correction would
@@ -71,17 +71,13 @@ def segments_in_grid(world: World, reach: float) -> Segments:
     """The segments of a world in a grid for a reach, m, or a larger one; the world keeps it (it is hidden there)."""
     kept = vars(world).get("_in_grid")
     if kept is None or kept.reach < reach:
-        kept = vars(world)["_in_grid"] = in_grid(segments_of(world), reach)
+        line = segments_of(world)
+        kept = vars(world)["_in_grid"] = in_grid(line, reach, 8 * len(line) + 4000) if len(line) else NO_SEGMENTS
     return kept
 
 
-def in_grid(line: np.ndarray, reach: float) -> Segments:
-    """Segments, (S, 5), in a grid of some eight cells a segment, no smaller than the reach, m."""
-    return list_segments(line, reach, 8 * len(line) + 4000) if len(line) else NO_SEGMENTS
-
-
-def list_segments(line, reach, most):
-    """`in_grid` with at most so many cells, or somewhat more."""
+def in_grid(line, reach, most):
+    """Segments, (S, 5), in a grid of at most so many cells, or somewhat more, none smaller than the reach, m."""
     beyond, every, none = 1.001 * reach, np.arange(line.shape[0]), np.zeros(0, np.int64)
     x, y = min(line[:, 0].min(), line[:, 2].min()) - beyond, min(line[:, 1].min(), line[:, 3].min()) - beyond
     wide = max(line[:, 0].max(), line[:, 2].max()) - (x + beyond) + 2.0 * beyond
@@ -101,7 +97,7 @@ def list_segments(line, reach, most):
     return Segments(line, start, near, every, first, hiding, grid, reach)
 
 
-_list_again = njit(cache=True, error_model="numpy")(list_segments)
+_in_grid = njit(cache=True, error_model="numpy")(in_grid)
 
 
 @njit(cache=True, error_model="numpy")
@@ -261,7 +257,7 @@ def moved_segments(segments, drive, dt):
     for s in drive.moving:
         for c in range(4):
             line[s, c] += dt * drive.wall[s, c]
-    return _list_again(line, segments.reach, 8 * line.shape[0] + 100)
+    return _in_grid(line, segments.reach, 8 * line.shape[0] + 100)
 
 
 def ground_velocities(contacts, world, n):
@@ -316,7 +312,8 @@ def segment_gap(segment, x, y, h_x=0.0, h_y=0.0):
 def touches(line, first, hiding, box, s, x, y, reach):
     """Whether a circle has a contact with segment s: no farther than `reach`, m, and with no end that is hidden.
 
-    line, first, hiding: of `Segments`. box: of the `World`.
+    An end is where a wall, or another segment that is at least as near, has the contact in place of it. Of ends that
+    are equally near the first stays. line, first, hiding: of `Segments`. box: of the `World`.
     """
     segment = line[s]
     if x < min(segment[0], segment[2]) - reach or x > max(segment[0], segment[2]) + reach:
@@ -326,26 +323,16 @@ def touches(line, first, hiding, box, s, x, y, reach):
     gap, part = segment_gap(segment, x, y)[0], nearest_part(segment, x, y)
     if not gap <= reach or part == BESIDE:
         return gap <= reach
-    end = 2 * s + part - START
-    return not is_hidden(line, hiding[first[end] : first[end + 1]], box, s, part, gap, x, y, reach)
-
-
-@njit(cache=True, error_model="numpy")
-def is_hidden(line, hiding, box, s, part, gap, x, y, reach):
-    """Whether a wall, or another segment that is at least as near, has the contact in place of an end of segment s.
-
-    hiding: segments that may. gap: of the end from the centre (x, y), m. Of ends that are equally near the first stays.
-    """
-    column = 0 if part == START else 2
-    e_x, e_y = line[s, column], line[s, column + 1]
+    end, column = 2 * s + part - START, 2 * (part - START)
+    e_x, e_y = segment[column], segment[column + 1]
     if min(e_x - box[0], e_y - box[1], box[2] - e_x, box[3] - e_y) <= ON * reach:
-        return True
-    for k in hiding:
+        return False
+    for k in hiding[first[end] : first[end + 1]]:
         if hides(line[k], e_x, e_y, x, y, reach):
             other = segment_gap(line[k], x, y)[0]
             if other < gap or (other == gap and k < s) or nearest_part(line[k], x, y) == BESIDE:
-                return True
-    return False
+                return False
+    return True
 
 
 @njit(cache=True, error_model="numpy")

@@ -165,20 +165,28 @@ def log_part(log, k, contacts, sweeps, theta, relaxations):
     log.progress[LAST_SWEEPS] = sweeps
 
 
-@njit(cache=True)
-def with_segments(step, segments):
-    """The input of a step with its segments elsewhere."""
+@njit(cache=True, error_model="numpy")
+def part_of(step, segments, parts=1):
+    """The input of one of so many parts of a step, with its segments where these are. step: `StepInput`."""
     return StepInput(
-        step.bodies, step.box, segments, step.gravity, step.friction, step.restitution, step.dt, step.parts,
-        step.scales, step.motion, step.drive,
+        step.bodies, step.box, segments, step.gravity, step.friction, step.restitution, step.dt / parts,
+        step.parts * parts, step.scales, step.motion, step.drive,
     )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
 def log_work(step, contacts, solver_bodies, log):
-    """Log the work of a part that has a drive: that of its solved impulses, and that of pushes."""
-    of_walls = work_on(step, contacts, impulses_of(contacts, 1.0 / step.parts))
-    log.work[0] += of_walls + work_of_push(step, solver_bodies)
+    """Log the work of a part that has a drive: that of its solved impulses, and that of pushes.
+
+    That of pushes is by the means of the velocities before and after the part.
+    """
+    bodies, drive, of_pushes = step.bodies, step.drive, 0.0
+    for i in range(bodies.mass.shape[0]):
+        if bodies.mass[i] < np.inf:
+            v_x, v_y = bodies.velocity[i, 0] + solver_bodies[i, 0], bodies.velocity[i, 1] + solver_bodies[i, 1]
+            turn = bodies.spin[i] + solver_bodies[i, 2] / bodies.radius[i]
+            of_pushes += drive.force[i, 0] * v_x + drive.force[i, 1] * v_y + drive.torque[i] * turn
+    log.work[0] += work_on(step, contacts, impulses_of(contacts, 1.0 / step.parts)) + 0.5 * step.dt * of_pushes
 
 
 @njit(cache=True, error_model="numpy")
@@ -204,18 +212,6 @@ def work_on(step, contacts, impulse):
                 v_y = bodies.velocity[fixed, 1] + bodies.spin[fixed] * (x - bodies.position[fixed, 0])
         work += sign * (impulse[i, 0] * v_x + impulse[i, 1] * v_y)
     return work
-
-
-@njit(cache=True, error_model="numpy")
-def work_of_push(step, solver_bodies):
-    """The work of pushes in a step, J: by the means of the velocities before and after it."""
-    bodies, drive, work = step.bodies, step.drive, 0.0
-    for i in range(bodies.mass.shape[0]):
-        if bodies.mass[i] < np.inf:
-            v_x, v_y = bodies.velocity[i, 0] + solver_bodies[i, 0], bodies.velocity[i, 1] + solver_bodies[i, 1]
-            turn = bodies.spin[i] + solver_bodies[i, 2] / bodies.radius[i]
-            work += drive.force[i, 0] * v_x + drive.force[i, 1] * v_y + drive.torque[i] * turn
-    return 0.5 * step.dt * work
 
 
 @njit(cache=True)

@@ -19,38 +19,22 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.physics.collision import circles_around, refresh_list, sort_into_cells, wall_gap
 from deep_contact.physics.segments import is_free, near_box, segment_gap, wall_velocity
-from deep_contact.physics.step import StepInput
+from deep_contact.physics.step import part_of
 from deep_contact.state.arrays import WALL_NORMALS
-
-
-@njit(cache=True, error_model="numpy")
-def part_of(step, parts):
-    """The input of one of so many parts of a substep. step: `StepInput` of the substep."""
-    return StepInput(
-        step.bodies, step.box, step.segments, step.gravity, step.friction, step.restitution, step.dt / parts,
-        step.parts * parts, step.scales, step.motion, step.drive,
-    )  # fmt: skip
 
 
 @njit(inline="always")
 def part_by_motion(step, part, cells, drive):
     """The part into which motion divides the next substep; `part` where it is as before."""
     parts = parts_of(step, cells, drive)
-    return part if parts * step.parts == part.parts else part_of(step, parts)
+    return part if parts * step.parts == part.parts else part_of(step, step.segments, parts)
 
 
 @njit(inline="always")
-def depart(step, part, contacts, drive):
-    """Let circles in flight go on in parts of a substep, in place on their velocities. contacts: at their positions."""
+def fly_on(step, part, contacts, change, drive):
+    """`shift_flights` where motion has divided a substep into parts, whose Δt is another. step: of the substep."""
     if part.parts > step.parts and step.restitution > 0.0:
-        shift_flights(step.bodies, contacts, step.gravity, step.dt - part.dt, drive)
-
-
-@njit(inline="always")
-def rejoin(step, part, contacts, drive):
-    """`depart` taken back, after the parts."""
-    if part.parts > step.parts and step.restitution > 0.0:
-        shift_flights(step.bodies, contacts, step.gravity, part.dt - step.dt, drive)
+        shift_flights(step.bodies, contacts, step.gravity, change, drive)
 
 
 @njit(cache=True, error_model="numpy")

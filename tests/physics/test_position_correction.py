@@ -58,7 +58,7 @@ def test_eight_at_a_time_compute_the_same_bits(seed, sweeps):
 
 
 @pytest.mark.filterwarnings("ignore:.*nearly coincide")
-@pytest.mark.parametrize("solver", [dc.PGS(), dc.BatchedPGS(threads=1)])
+@pytest.mark.parametrize("solver", [dc.PGS(), dc.BatchedPGS()])
 @pytest.mark.parametrize(("n", "apart"), [(20, 0.0), (50, 0.0), (50, 1e-6), (200, 0.0)])
 def test_circles_in_one_place_fill_a_disc(n, apart, solver):
     # Whatever their radii; each pair's push once followed the first pair's: 50 circles lay in a line, 44 m × 0 m.

@@ -14,7 +14,6 @@ from deep_contact import sph
 from deep_contact.cnn.far_field import FarFieldSpec, describe
 from deep_contact.cnn.images import ImageSpec, input_image, label_image, read_back
 from deep_contact.cnn.through_solver import solved_problem
-from deep_contact.physics.islands import islands_of
 from deep_contact.physics.lcp import check_problem, contact_problem
 from deep_contact.physics.matrix_solvers import solve_problem
 from deep_contact.state.checks import check_state
@@ -105,7 +104,6 @@ REFUSED = [
     (dc.PSOR, {"omega": 2.0}, "omega: expected"),
     (dc.PSOR, {"friction_omega": 2}, "friction_omega: expected"),
     (dc.NNCG, {"sweeps": -1}, "sweeps: expected"),
-    (dc.BatchedPGS, {"threads": 2}, "threads: expected 1: .* simulate_many"),
     (dc.BatchedPGS, {"islands": True}, "islands: expected"),
     # a run
     (run, {"steps": -1}, "steps: expected"),
@@ -116,7 +114,6 @@ REFUSED = [
     (run, {"warm_start": "thesis_factored"}, r"warm_start: .*: a network is passed as dc.load_model\('thesis_f"),
     (run, {"sleep": 1}, "sleep: expected"),
     (run, {"sleep": True, "solver": dc.BatchedPGS()}, "sleep: expected"),
-    (islands_of, {"state": COLUMN}, "contacts: expected"),
     (dc.simulate, {"state": "scene.xml"}, "state: expected"),
     *(
         (dc.step, {"state": COLUMN.replace(bodies=COLUMN.bodies._replace(**field))}, f"bodies.{next(iter(field))}: exp")

@@ -61,7 +61,7 @@ def test_the_grid_lists_every_segment_within_reach_of_a_place_or_a_way(kind):
     # Against the distance from all of them. Points lie on ends, near segments, anywhere and far outside.
     rng, (make, reach) = np.random.default_rng(0), GRIDS[kind]
     ends = make(rng)
-    segments = in_grid(np.column_stack([ends[:-1], ends[1:], np.zeros(len(ends) - 1)]), reach)
+    segments = in_grid(np.column_stack([ends[:-1], ends[1:], np.zeros(len(ends) - 1)]), reach, 8 * len(ends) + 4000)
     line, buffer = segments.line, np.empty_like(segments.every)
     beside = line[rng.integers(len(line), size=200), :2] + rng.uniform(-1.5 * reach, 1.5 * reach, (200, 2))
     low, high = ends.min(axis=0), ends.max(axis=0)
@@ -85,7 +85,7 @@ def test_the_grid_lists_every_segment_within_reach_of_a_place_or_a_way(kind):
 
 def test_a_grid_of_many_segments_is_small_and_is_made_once():
     ends = np.cumsum(np.random.default_rng(1).uniform(-0.5, 1.0, (100_001, 2)), axis=0)
-    segments = in_grid(np.column_stack([ends[:-1], ends[1:], np.zeros(100_000)]), 0.5)
+    segments = in_grid(np.column_stack([ends[:-1], ends[1:], np.zeros(100_000)]), 0.5, 804_000)
     assert len(segments.start) < 1e6
     assert len(segments.near) < 4e6
     world = dc.World(segments=[((0.0, 1.0), (5.0, 1.0))])

@@ -60,8 +60,8 @@ def register(options: type, settings: Callable, loops: tuple[Loop, ...], *, adva
     """Make a solver known, under the name of its options. Raises ValueError if another solver has that name.
 
     options: frozen dataclass with `sweeps`, `tolerance` and `position_sweeps`. settings: function of the
-    options -> NamedTuple of a type that one of the loops has. advance: function of the options -> function in place of
-    `engine.advance`, for a step of its own, which always has tangent rows and puts nothing to sleep.
+    options -> NamedTuple of a type that one of the loops has. advance: compiled function in place of `engine.advance`,
+    for a step of its own, which always has tangent rows and puts nothing to sleep.
     """
     if METHODS.setdefault(options.__name__, options) is not options:
         raise ValueError(f"options: expected a new name, got {options.__name__}, which is {METHODS[options.__name__]}")
@@ -83,11 +83,6 @@ def entry_of(solver) -> Entry:
 def for_state(solver, state: State):
     """The options with numbers in place of those that follow the scene, for those that have a `for_state`."""
     return solver.for_state(state) if hasattr(solver, "for_state") else solver
-
-
-def settings_of(solver) -> NamedTuple:
-    """The settings of a solver from its options."""
-    return entry_of(solver).settings(solver)
 
 
 def tolerance_argument(solver) -> float:

@@ -115,8 +115,8 @@ def test_a_sweep_is_the_sequential_one_in_the_order_of_the_batches(pile):
     (rows, solver_bodies, friction, _), found = engine.step_problem(pile), []
     for solver, order in ((dc.PGS, in_the_order_of_batches(plan_of(pile))), (dc.BatchedPGS, slice(None))):
         copies, v, theta = contact_solver.Rows(*(f[order].copy() for f in rows)), solver_bodies.copy(), np.empty(30)
-        settings = engine.settings_of(solver(tolerance=None))
-        engine.solve_velocities(copies, friction, settings, v, theta)
+        options = solver(tolerance=None)
+        engine.solve_velocities(copies, friction, engine.entry_of(options).settings(options), v, theta)
         found.append((v, theta))
     tolerance = 1e4 * np.finfo(float).eps * np.abs(solver_bodies[:, :3]).max()
     for one, other in zip(*found):
