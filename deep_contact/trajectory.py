@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -92,7 +91,7 @@ class Trajectory:
         seconds, every = max(float(self.times[-1] - self.times[0]), 1e-3), -(-len(self) // MOST_FRAMES)
         with TemporaryDirectory() as folder:
             film = self.film(Path(folder, "run.gif"), fps=max(len(self) / every / seconds, 1.0), size=400, every=every)
-            return f'<img src="data:image/gif;base64,{base64.b64encode(film.read_bytes()).decode()}">'
+            return notebook.image("gif", film.read_bytes())
 
     times, positions, velocities = _array("time"), _array("position"), _array("velocity")
     angles, spins, offsets = _array("angle"), _array("spin"), _array("contact_offset")

@@ -169,7 +169,12 @@ class State:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: numbers, and a picture of circles and impulses."""
-        return notebook.shown(f"State {self.name!r}", self._summary().items(), self._picture())
+        from deep_contact import plotting  # by the front door: plotting stands above states
+
+        figure, ax = plotting.subplots(size=(3.0, 3.0))
+        plotting.draw_state(ax, self)
+        picture = notebook.image("png", figure._repr_png_())
+        return notebook.shown(f"State {self.name!r}", self._summary().items(), picture)
 
     def _summary(self) -> dict[str, str]:
         contacts = "contacts unknown" if self.contacts is None else notebook.counted(self.contacts.count, "contact")
@@ -183,11 +188,6 @@ class State:
         beyond = np.zeros(0, int) if self.contacts is None else self.contacts.body_b - self.bodies.count
         touched = Counter(SIDES[wall] if wall < 4 else "segments" for wall in np.sort(beyond[beyond >= 0]))
         return ", ".join(f"{name} {count:,}" for name, count in touched.items())
-
-    def _picture(self) -> str:
-        (position, *_, radius), world, lines = self.bodies, self.world, contact_lines(self)
-        strength = () if self.contacts is None else self.contacts.normal_impulse
-        return notebook.picture_of(world.box, position, radius, lines, strength, world.segments)
 
 
 if TYPE_CHECKING:
