@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from deep_contact.io.state_xml import read_state, write_state
     from deep_contact.physics.exact import solve_exactly
     from deep_contact.physics.forces import coordination, forces, mean_stress, neighbours, stress
+    from deep_contact.physics.ready import find_contacts
     from deep_contact.physics.scenes import (
         barrel,
         circles_in_box,
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
     from deep_contact.simulation import (
         Simulation,
         Simulator,
-        find_contacts,
         simulate,
         simulate_many,
         solve_contacts,

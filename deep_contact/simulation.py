@@ -17,27 +17,32 @@ import numpy as np
 from deep_contact.parallel import cores, parallel_map, workers
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
-from deep_contact.physics.engine import ContactSolution, StepProblem, Steps, contacts_of, drive_of, step_input
+from deep_contact.physics.engine import ContactSolution, StepProblem, Steps, step_input
 from deep_contact.physics.forces import SIDES
-from deep_contact.physics.load import has_new_load, load_of, with_a_past, with_new_load
-from deep_contact.physics.ready import ready
+from deep_contact.physics.load import (
+    has_new_load,
+    load_of,
+    with_a_past,
+    with_new_load,
+    with_shifted_flights,
+    with_time_step,
+)
+from deep_contact.physics.ready import find_contacts, ready
 from deep_contact.physics.sleeping import wake_pushed
 from deep_contact.physics.solvers import PGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.physics.step import DONE, FINITE, LAST_SWEEPS, WORK, StepLog, make_log, of_whole_step, some_steps
-from deep_contact.physics.substeps import shift_flights
 from deep_contact.presets import Accuracy, Decision, MeasuredAccuracy, PresetWarning, decide
 from deep_contact.state import State, StateWithContacts, World, changed, frozen, notebook, read_only
 from deep_contact.state.arrays import LIMITS, Bodies, Contacts
 from deep_contact.state.checks import (
-    check_types,
     checked_indices,
     checked_push,
     checked_velocities,
     warn_of_jumps,
 )
 from deep_contact.trajectory import Trajectory
-from deep_contact.validation import brief, expect, flag, integer, number, one_of, warn
+from deep_contact.validation import brief, expect, flag, integer, one_of, warn
 from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
 
 MOST_WORK = 20_000_000
@@ -477,30 +482,10 @@ def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, War
         state = state if isinstance(start, NoStart) else with_new_load(state, solver)
     before, now = (getattr(one, "substeps", 1) for one in (state.solver, solver))
     if state.solver is not None:
-        state = _with_shifted_flights(state, state.dt / before - state.dt / now)
+        state = with_shifted_flights(state, state.dt / before - state.dt / now)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     preset = accuracy if isinstance(accuracy, str) else state.preset if solver == state.solver else None
     return state.replace(solver=solver, preset=preset), start
-
-
-def find_contacts(state: State) -> StateWithContacts:
-    """The state with the contacts at its positions: they are found, and nothing is solved.
-
-    Pairs that were contacts of the state keep their impulses, others have none. What was solved stays solved where no
-    contact comes or goes. Raises ValueError on a state that does not hold together.
-    """
-    old = ready(state)
-    if state.contacts is None:
-        return old
-    contacts = contacts_of(old)
-    end = old.bodies.count + 4 + len(old.world.segments)
-    keys, before = (one.body_a * end + one.body_b for one in (contacts, old.contacts))
-    is_same, starts = np.array_equal(keys, before), old.contacts[7:]
-    _, kept, at = np.intersect1d(keys, before, assume_unique=True, return_indices=True)
-    impulses = (np.maximum(starts[0], 0.0), starts[1]) if old.solved and not is_same else old.contacts[5:7]
-    for values, carried in zip(contacts[5:], (*impulses, *starts)):
-        values[kept] = carried[at]
-    return old.replace(contacts=contacts, solved=old.solved and is_same)
 
 
 def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndarray] = "builtin") -> ContactSolution:
@@ -752,33 +737,6 @@ def _one_of_many(
         return _simulate(state, options, stopped)
     except (ValueError, FloatingPointError) as error:
         raise type(error)(f"states[{number}]: {error}") from error
-
-
-def with_time_step(state: State, dt: float) -> State:
-    """The state with another Δt, s; the impulses that it carries from the last step are scaled by the ratio.
-
-    Without the scaling a change of Δt kicks a pile at rest, whose impulses are m g Δt (Box2D 2.3 scales by `dtRatio`).
-    Where e > 0 circles in flight keep their energy (`substeps.shift_flights`).
-    """
-    contacts = check_types(state).contacts
-    if dt == state.dt:
-        return state
-    if number("dt", dt, above=0) and contacts is not None:
-        ratio, names = dt / state.dt, ["normal_start", "tangent_start"]
-        if not state.solved:  # whose impulses are the starts
-            names += ["normal_impulse", "tangent_impulse"]
-        contacts = contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
-        state = _with_shifted_flights(state, (state.dt - dt) / getattr(state.solver, "substeps", 1))
-    return state.replace(dt=dt, contacts=contacts)
-
-
-def _with_shifted_flights(state: StateWithContacts, change: float) -> StateWithContacts:
-    """The state of a run with e > 0 whose substeps become shorter by `change`, s: what flies flies on as before."""
-    if change == 0.0 or state.world.restitution == 0.0 or state.step == 0:
-        return state
-    bodies = state.bodies._replace(velocity=state.bodies.velocity.copy())
-    shift_flights(bodies, state.contacts, state.world.gravity, change, drive_of(state))
-    return changed(state, bodies=bodies)
 
 
 class Method(NamedTuple):

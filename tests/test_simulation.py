@@ -14,7 +14,7 @@ from conftest import assert_same_bits, circles_at
 
 import deep_contact as dc
 from deep_contact import simulation
-from deep_contact.simulation import with_time_step
+from deep_contact.physics.load import with_time_step
 
 MOTION = dc.PGS(sweeps=8, substeps=2, most_substeps=8)
 

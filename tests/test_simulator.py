@@ -10,8 +10,8 @@ from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.compiled.direct import OFTEN, Direct
+from deep_contact.physics.load import with_time_step
 from deep_contact.physics.step import FINITE
-from deep_contact.simulation import with_time_step
 
 WAYS = {
     "fast": ({}, {"accuracy": "fast"}),

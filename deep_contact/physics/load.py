@@ -1,4 +1,4 @@
-"""Impulses that fit the load of a state: where it carries none yet, and where it carries those of another load.
+"""Impulses that fit the load and the Δt of a state: where it carries none yet, or those of another load or Δt.
 
 A pile whose gravity is switched off still has the impulses that held it up. A few sweeps do not take them back, and
 what is left becomes velocity. So a state remembers what its impulses were solved for (`State.load`). Where that has
@@ -13,13 +13,16 @@ import zlib
 import numpy as np
 
 from deep_contact.physics.contact_solver import best_share, projected
-from deep_contact.physics.engine import StepProblem, solve, started, step_problem
+from deep_contact.physics.engine import StepProblem, drive_of, solve, started, step_problem
 from deep_contact.physics.metrics import energy_norm
 from deep_contact.physics.relaxation import at_rest
 from deep_contact.physics.solvers import NesterovPGS
+from deep_contact.physics.substeps import shift_flights
 from deep_contact.physics.support import supported
-from deep_contact.state import State, StateWithContacts, World
+from deep_contact.state import State, StateWithContacts, World, changed
+from deep_contact.state.checks import check_types
 from deep_contact.state.scales import mean, theta_tolerance
+from deep_contact.validation import number
 
 SWEEPS = 500, 2000
 """Least and most sweeps of a solve that has to be good: with few a pile would fall into itself. Between them it is one
@@ -131,3 +134,30 @@ def _starting(state: StateWithContacts, normal, tangent) -> StateWithContacts:
     if not state.solved:
         contacts = contacts._replace(normal_impulse=normal, tangent_impulse=tangent)
     return state.replace(contacts=contacts)
+
+
+def with_time_step(state: State, dt: float) -> State:
+    """The state with another Δt, s; the impulses that it carries from the last step are scaled by the ratio.
+
+    Without the scaling a change of Δt kicks a pile at rest, whose impulses are m g Δt (Box2D 2.3 scales by `dtRatio`).
+    Where e > 0 circles in flight keep their energy (`substeps.shift_flights`).
+    """
+    contacts = check_types(state).contacts
+    if dt == state.dt:
+        return state
+    if number("dt", dt, above=0) and contacts is not None:
+        ratio, names = dt / state.dt, ["normal_start", "tangent_start"]
+        if not state.solved:  # whose impulses are the starts
+            names += ["normal_impulse", "tangent_impulse"]
+        contacts = contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
+        state = with_shifted_flights(state, (state.dt - dt) / getattr(state.solver, "substeps", 1))
+    return state.replace(dt=dt, contacts=contacts)
+
+
+def with_shifted_flights(state: StateWithContacts, change: float) -> StateWithContacts:
+    """The state of a run with e > 0 whose substeps become shorter by `change`, s: what flies flies on as before."""
+    if change == 0.0 or state.world.restitution == 0.0 or state.step == 0:
+        return state
+    bodies = state.bodies._replace(velocity=state.bodies.velocity.copy())
+    shift_flights(bodies, state.contacts, state.world.gravity, change, drive_of(state))
+    return changed(state, bodies=bodies)

@@ -46,6 +46,26 @@ def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
     return state
 
 
+def find_contacts(state: State) -> StateWithContacts:
+    """The state with the contacts at its positions: they are found, and nothing is solved.
+
+    Pairs that were contacts of the state keep their impulses, others have none. What was solved stays solved where no
+    contact comes or goes. Raises ValueError on a state that does not hold together.
+    """
+    old = ready(state)
+    if state.contacts is None:
+        return old
+    contacts = contacts_of(old)
+    end = old.bodies.count + 4 + len(old.world.segments)
+    keys, before = (one.body_a * end + one.body_b for one in (contacts, old.contacts))
+    is_same, starts = np.array_equal(keys, before), old.contacts[7:]
+    _, kept, at = np.intersect1d(keys, before, assume_unique=True, return_indices=True)
+    impulses = (np.maximum(starts[0], 0.0), starts[1]) if old.solved and not is_same else old.contacts[5:7]
+    for values, carried in zip(contacts[5:], (*impulses, *starts)):
+        values[kept] = carried[at]
+    return old.replace(contacts=contacts, solved=old.solved and is_same)
+
+
 def _at_its_begin(state: StateWithContacts) -> StateWithContacts:
     """The solved state without the contacts that came during its step: they started from 0, and are not yet there."""
     contacts, n = state.contacts, state.bodies.count
