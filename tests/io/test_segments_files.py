@@ -48,6 +48,7 @@ def test_a_state_survives_xml(run, tmp_path):
         (r'(<segment index="61") .*/>', r'\1 x_0="1.0" y_0="1.0" x_1="1.0" y_1="1.0"/>', "two different points"),
         (r'(<segment index="61") x_0="[^"]*"', r"\1", "x_0"),
         (r"(?s)<segments>.*</segments>", "", "expected the index of a body"),
+        (r'master="\d+" slave="\d+"', 'master="60" slave="61"', "<contact> '0': master, slave: expected a circle"),
     ],
 )
 def test_a_damaged_file_is_refused(run, old, new, message):
@@ -92,9 +93,6 @@ def test_pictures_show_segments(run):
     assert any(np.array_equal(c.get_segments(), wanted) for c in drawn)
     again = plotting.state_of(results.plain(plotting.state_data(run.state)))
     assert again.world.segments == run.state.world.segments
-    plain = run.state.replace(world=replace(run.state.world, segments=(), surface_speeds=()), contacts=None)
-    lines = [state._repr_html_().count("<line") for state in (plain, run.state.replace(contacts=None))]
-    assert np.diff(lines) == 2
     plotting.body_values(run.state, "impulse")
 
 
