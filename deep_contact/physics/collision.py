@@ -582,14 +582,15 @@ def mass_if_fixed(bodies, drive):
 
 
 @njit(inline="always")
-def next_contacts(bodies, before, box, segments, skin, cells, solved, warm, buffer, drive, dt, least):
+def next_contacts(step, segments, before, solved, cells, buffer, warm, drive, least):
     """Contacts of the step after the one that `solved` those given, found where the bodies are now.
 
-    before: where they were, (n, 2), m; read only where there are segments (`positions_before`). warm: with the impulses
-    that their pairs had solved; otherwise without. drive, dt: see `hold`. least: see `write_geometry`. Returns the
-    contacts: `find_contacts`.
+    step: `StepInput`. segments: where they are at its end. before: where the bodies were, (n, 2), m; read only where
+    there are segments (`positions_before`). cells, buffer: memory to use. warm: with the impulses that their pairs had
+    solved; otherwise without. drive: its own. least: see `write_geometry`. Returns the contacts: `find_contacts`.
     """
-    hold(bodies, before, box, segments, skin, solved, drive, dt)
+    bodies, box, skin = step.bodies, step.box, step.scales.wall_skin
+    hold(bodies, before, box, segments, skin, solved, drive, step.dt)
     mass = mass_if_fixed(bodies, drive)
     contacts = find_contacts(bodies.position, bodies.radius, mass, box, segments, skin, cells, buffer, least)
     carry_impulses(solved, contacts, warm)

@@ -93,7 +93,7 @@ def advance(setup, contacts, motion, sleep, log, drive):
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
             is_whole, contacts, received, segments = do_part(
-                part, motion, contacts, sleep, setup, log, received, j // step.parts, turn, drive
+                part, motion, contacts, sleep, setup, log, received, turn, drive
             )
             if not is_whole:
                 return contacts, received
@@ -109,8 +109,8 @@ def advance(setup, contacts, motion, sleep, log, drive):
 
 
 @njit(inline="always")
-def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive):
-    """A part of the k-th step: velocities, positions, and the contacts that the next part solves, in buffer `turn`.
+def do_part(part, motion, contacts, sleep, setup, log, received, turn, drive):
+    """A part of a step: velocities, positions, and the contacts that the next part solves, in buffer `turn`.
 
     Returns whether it is done, its contacts, `StepLog.received` and the segments after it. Where a circle is fast and
     the code that stops it is missing, nothing is done: it returns False, and all as it was. It is inlined: a call would
@@ -118,7 +118,7 @@ def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive)
     """
     bodies, box, segments, scales, friction = part.bodies, part.box, part.segments, part.scales, part.friction
     options, memory, n, impacts = setup.options, setup.memory, part.bodies.mass.shape[0], log.loads[:0]
-    solver_bodies, theta, rows, cells = memory.solver_bodies, memory.theta, memory.rows, memory.cells
+    solver_bodies, theta, rows = memory.solver_bodies, memory.theta, memory.rows
     active = sleeping.awake_contacts(contacts, sleep)
     # Velocities: rebounds, forces, rows, and the impulses that solve them.
     if not memory.is_built:
@@ -140,13 +140,11 @@ def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive)
         return False, contacts, received, segments
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
     # The contacts that the next part or step solves, and who sleeps in it.
-    buffer, skin = memory.contacts[turn], scales.wall_skin
-    following = next_contacts(
-        bodies, before, box, segments, skin, cells, contacts, options.carry, buffer, drive, part.dt, 0
-    )
+    buffer, carry = memory.contacts[turn], options.carry
+    following = next_contacts(part, segments, before, contacts, memory.cells, buffer, carry, drive, 0)
     sleeping.wake_and_put_to_sleep(part, following, sleep, drive)
     # The log.
-    log_part(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
+    log_part(log, log.progress[DONE] // setup.step.parts, active.body_a.shape[0], sweeps, theta, relaxations)
     if is_asked(log):
         received = log_impulses(log, received, contacts, impulses_of(contacts, 1.0 / part.parts), n)
         received = log_impulses(log, received, active, impacts, n)

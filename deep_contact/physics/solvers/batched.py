@@ -171,9 +171,7 @@ def advance_in_batches(setup, contacts, motion, sleep, log, drive):
             fly_on(step, part, contacts, step.dt - part.dt, drive)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
-            contacts, received, segments = do_part_in_batches(
-                part, setup.options, memory, contacts, log, received, j // step.parts, turn, drive
-            )
+            contacts, received, segments = do_part_in_batches(part, contacts, setup, log, received, turn, drive)
             if drive is not None:
                 part, step = part_of(part, segments), part_of(step, segments)
         if motion.most > 1:
@@ -188,12 +186,13 @@ def advance_in_batches(setup, contacts, motion, sleep, log, drive):
 
 
 @njit(inline="always")
-def do_part_in_batches(part, options, memory, contacts, log, received, k, turn, drive):
+def do_part_in_batches(part, contacts, setup, log, received, turn, drive):
     """`engine.do_part`: velocities, positions, and the contacts that the next part solves, in buffer `turn`.
 
     Returns these contacts, `StepLog.received` and the segments after it.
     """
-    bodies, segments, scales, room = part.bodies, part.segments, part.scales, memory.workspace
+    bodies, segments, options, memory = part.bodies, part.segments, setup.options, setup.memory
+    room, scales = memory.workspace, part.scales
     n, theta, rows, is_built = bodies.mass.shape[0], memory.theta, memory.rows, memory.is_built
     plan_part(n, contacts, room)
     plan, tiles = room.plan, room.tiles
@@ -224,15 +223,14 @@ def do_part_in_batches(part, options, memory, contacts, log, received, k, turn, 
     before = positions_before(bodies, segments)
     integrate_positions(bodies, velocities, part, segments, drive)
     correct_positions_in_batches(plan, tiles, bodies, scales, options.position_sweeps)
-    log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
+    step, count = log.progress[DONE] // setup.step.parts, plan.count[CONTACTS]
+    log_part(log, step, count, sweeps, theta, sweeps * count)
     if is_asked(log):
         received = log_impulses(log, received, contacts, impulses_of(contacts, 1.0 / part.parts), n)
     # The contacts that the next part or step solves. Logs and impacts read all geometry; tiles, that of walls.
     least = 0 if part.restitution > 0.0 or is_asked(log) or drive is not None else n
-    buffer, cells, skin = memory.contacts[turn], memory.cells, scales.wall_skin
-    following = next_contacts(
-        bodies, before, part.box, segments, skin, cells, contacts, options.carry, buffer, drive, part.dt, least
-    )
+    buffer, carry = memory.contacts[turn], options.carry
+    following = next_contacts(part, segments, before, contacts, memory.cells, buffer, carry, drive, least)
     return following, received, segments
 
 
