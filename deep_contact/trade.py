@@ -492,7 +492,7 @@ def _run(trade: Trade, states: Sequence[State], quantities: Mapping, minutes: fl
     # Seed by seed: a budget that ends leaves out seeds, not settings.
     runs = [(name, i) for i in range(len(states)) for name in settings if (name, i) not in trade.observed]
     where = *_intervals(trade), quantities
-    tasks = [(states[i], settings[name], *where, i < TIMED and name in trade.settings) for name, i in runs]
+    tasks = [(states[i], settings[name], *where, _is_timed(trade, name, i)) for name, i in runs]
     end = math.inf if minutes is None else time.monotonic() + 60.0 * minutes
     try:
         with closing(parallel.finished(_task, tasks, jobs=jobs)) as done:
@@ -535,6 +535,11 @@ def _checked(steps, minutes, seeds, quantities, jobs) -> tuple[list[int], dict[s
     numbers = [integer("seeds", seed) for seed in several]
     expect(numbers and len(set(numbers)) == len(numbers), f"seeds: expected different numbers, got {brief(numbers)}")
     return numbers, quantities
+
+
+def _is_timed(trade: Trade, name: str, i: int) -> bool:
+    """Whether a run of the seed with this number is timed: of a setting, not of the reference."""
+    return i < TIMED and name in trade.settings
 
 
 def _task(task: tuple) -> tuple[float | None, Observation] | str:
