@@ -20,7 +20,7 @@ from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.state import State
 from deep_contact.studies import chapter_5, piles, starts, timing, verdicts
 from deep_contact.studies.starts import THRESHOLD, sweeps_to
-from deep_contact.warm_start import Sph, WarmStart, solved_impulses, warm_start_of
+from deep_contact.warm_start import Builtin, Cnn, Copy, NoStart, Sph, WarmStart, solved_impulses
 
 TITLE = "Does a network's start save time to θ < 6e-5 N·s?"
 COLOURS = {"splat": plotting.SKY, "network": plotting.PURPLE, "gather": plotting.ORANGE, "solve": plotting.GREY}
@@ -88,8 +88,8 @@ def compute(options, seed, jobs, progress):
     one_thread()
     networks, by_size = options["networks"], {}
     sph = {name: Sph(**of | {"spacing": options["spacing"]}) for name, of in starts.CHOSEN.items()}
-    given = {"none": "none", "builtin": "builtin"} | sph | networks | {"copy": "copy"}
-    every = {name: warm_start_of(start) for name, start in given.items()}
+    learned = {name: Cnn(path) for name, path in networks.items()}
+    every = {"none": NoStart(), "builtin": Builtin()} | sph | learned | {"copy": Copy()}
 
     def scene(n_bodies, seed):
         world = {name: options[name] for name in ("friction", "restitution")}

@@ -13,7 +13,6 @@ from itertools import product
 import numpy as np
 
 from deep_contact import parallel
-from deep_contact.cnn.backend import one_thread
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import ContactSolution, solve
 from deep_contact.physics.scenes import circles_in_box
@@ -21,9 +20,8 @@ from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
 from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.run_errors import interval
 from deep_contact.state import State
-from deep_contact.studies.starts import REFERENCE, solved_states
+from deep_contact.studies.starts import REFERENCE, solved_states, start_of
 from deep_contact.validation import integer
-from deep_contact.warm_start import warm_start_of
 
 SOLVERS = {
     "PGS": PGS(),
@@ -66,7 +64,7 @@ def errors_of(state: State, impulses: Mapping, settings: Mapping, sweeps: Sequen
 def compute(options, seed, jobs, progress):
     """Every start with every solver on the same states of held-out scenes."""
     integer("scenes", options["scenes"], least=2)  # one has no interval
-    starts = {name: name for name in CLASSICAL} | {LEARNED: options["model"]}
+    starts = {name: name for name in CLASSICAL} | {LEARNED: {"model": options["model"]}}
     tasks = [{**options, "starts": starts, "seed": s} for s in parallel.seeds(seed + 10_000, options["scenes"])]
     scenes = parallel.parallel_map(errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
     return {"after": options["after"], "scenes": scenes}
@@ -75,12 +73,11 @@ def compute(options, seed, jobs, progress):
 def errors_on_scene(task: Mapping) -> dict:
     """Errors of starts with all of `SOLVERS` on the same states of a scene of the thesis, with μ = 0.3.
 
-    The training data have 0.5. task: "starts", of which one is "builtin", as `simulate` takes them, the "seed", the
+    The training data have 0.5. task: "starts", of which one is "builtin", as `start_of` takes them, the "seed", the
     "steps", of which one in "every" is measured, and the numbers of sweeps "after" which errors are measured. Returns
     {"step": (states,), "errors": {setting: (states, len(after))}}.
     """
-    one_thread()
-    starts = {name: warm_start_of(start) for name, start in task["starts"].items()}
+    starts = {name: start_of(description) for name, description in task["starts"].items()}
     rng, settings = np.random.default_rng(task["seed"]), settings_with(starts)
     scene = circles_in_box(int(rng.integers(70, 110, endpoint=True)), friction=0.3, seed=rng)
     solved: dict = {"step": [], "errors": {name: [] for name in settings}}

@@ -13,6 +13,7 @@ from PIL import Image
 
 import deep_contact as dc
 from deep_contact import trajectory
+from deep_contact.state import notebook
 
 
 @pytest.fixture(scope="module")
@@ -26,15 +27,28 @@ def shown_in(html):
     return [Image.open(io.BytesIO(base64.b64decode(data))) for data in found]
 
 
+def lines_in(html):
+    """Pixels of the colour of impulses, in the one picture."""
+    (picture,) = shown_in(html)
+    red, green, blue = np.asarray(picture.convert("RGB"), int).transpose(2, 0, 1)
+    return np.count_nonzero((red > 180) & (green < 120) & (blue < 60))
+
+
 def test_a_state_shows_its_numbers_and_a_picture(run):
     html = run.state.replace(name="<script>")._repr_html_()
     assert "3 circles" in html
     assert "<script>" not in html
-    (picture,) = shown_in(html)
-    assert len(np.unique(np.asarray(picture.convert("RGB")).reshape(-1, 3), axis=0)) > 10
+    assert lines_in(html) > 50
+    assert lines_in(run.state.replace(contacts=None)._repr_html_()) == 0
+
+
+def test_what_cannot_be_drawn_is_left_out():
     state = dc.column(2)
     state.bodies.position[0] = np.nan
-    assert shown_in(state._repr_html_())  # what cannot be drawn is left out
+    assert shown_in(state._repr_html_())
+    many = dc.lattice_in_box(notebook.MOST_CIRCLES + 1)._repr_html_()
+    assert "5,001 circles" in many
+    assert not shown_in(many)
 
 
 def test_a_run_shows_how_its_solves_ended_and_a_trajectory_plays(run, monkeypatch):

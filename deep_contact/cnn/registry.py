@@ -23,7 +23,7 @@ def network_file(model=None) -> Path:
     """
     text, known = "model" if model is None else str(model), registered()
     for place in () if text in known else (Path(text), ROOT / text):
-        if place.is_file():
+        if place.exists() and not place.is_dir():
             return place
     name = text.removeprefix("models/").removesuffix(".h5")
     if name not in known:

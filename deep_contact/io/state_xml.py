@@ -264,7 +264,7 @@ def _read_contacts(rows: Rows, bodies: Bodies, box, rank: dict, is_old: bool) ->
     # Box2D puts edges first, so old files have the box as master, its normal pointing at the circle.
     a, b = np.minimum(first, second), np.maximum(first, second)
     for i in np.flatnonzero(a >= n)[:1]:
-        raise fault(rows.elements[i], "master, slave: expected a circle among them, got the box and a segment")
+        raise fault(rows.elements[i], "master, slave: expected a circle among them, got none")
     normal = rows.numbers("normal", "x y")
     rows.refuse(~is_unit(normal), "normal", "x y", "a unit vector")
     normal = np.where((first > second)[:, None], -normal, normal)

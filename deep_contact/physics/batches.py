@@ -95,13 +95,13 @@ class Tiles(NamedTuple):
 
 @njit(cache=True)
 def make_plan(n, capacity):
-    """Buffers for the plan of so many contacts of n circles."""
+    """Buffers for the plan of so many contacts of n circles. Its counts are those of no plan (`is_plan_of`)."""
     blocks = capacity // BLOCK + 1
     whole = np.int64
     return BatchPlan(
         np.zeros((n, 2), np.uint64), np.empty(capacity, whole), np.empty(capacity, np.uint32),
         np.empty(capacity, whole), np.empty(capacity, whole), np.empty(blocks + 1, whole),
-        np.empty(blocks + 1, whole), np.empty(blocks, whole), np.empty(blocks, whole), np.zeros(5, whole),
+        np.empty(blocks + 1, whole), np.empty(blocks, whole), np.empty(blocks, whole), np.full(5, -1, whole),
     )  # fmt: skip
 
 

@@ -403,7 +403,7 @@ def _sort_run(values, start, stop):
 
 
 @njit(cache=True, error_model="numpy")
-def find_contacts(position, radius, mass, box, segments, skin, cells, buffer, least=0):
+def find_contacts(position, radius, mass, box, segments, skin, cells, buffer, least):
     """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
 
     position: (n, 2), m. radius: (n,), m. mass: (n,), kg; None where no circle is fixed. box: (x_min, y_min, x_max,

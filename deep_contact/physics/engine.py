@@ -141,7 +141,7 @@ def do_part(part, motion, contacts, sleep, setup, log, received, turn, drive):
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
     # The contacts that the next part or step solves, and who sleeps in it.
     buffer, carry = memory.contacts[turn], options.carry
-    following = next_contacts(part, segments, before, contacts, memory.cells, buffer, carry, drive, 0)
+    following = next_contacts(part, segments, before, contacts, memory.cells, buffer, carry, drive, np.int64(0))
     sleeping.wake_and_put_to_sleep(part, following, sleep, drive)
     # The log.
     log_part(log, log.progress[DONE] // setup.step.parts, active.body_a.shape[0], sweeps, theta, relaxations)
@@ -404,7 +404,7 @@ def contacts_of(state: State) -> Contacts:
     segments = segments_in_grid(world, reach_of(state, state.scales)) if world.segments else None
     mass = bodies.mass if bodies.is_fixed.any() else None
     where = bodies.position, bodies.radius, mass, world.box, segments, state.scales.wall_skin
-    found = find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64))
+    found = find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64), 0)
     return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
 
 

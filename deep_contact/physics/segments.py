@@ -312,8 +312,8 @@ def segment_gap(segment, x, y, h_x=0.0, h_y=0.0):
 def touches(line, first, hiding, box, s, x, y, reach):
     """Whether a circle has a contact with segment s: no farther than `reach`, m, and with no end that is hidden.
 
-    An end is where a wall, or another segment that is at least as near, has the contact in place of it. Of ends that
-    are equally near the first stays. line, first, hiding: of `Segments`. box: of the `World`.
+    An end is hidden where a wall, or another segment that is at least as near, has the contact in place of it. Of ends
+    that are equally near the first stays. line, first, hiding: of `Segments`. box: of the `World`.
     """
     segment = line[s]
     if x < min(segment[0], segment[2]) - reach or x > max(segment[0], segment[2]) + reach:

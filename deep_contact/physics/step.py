@@ -78,7 +78,7 @@ class StepMemory(NamedTuple):
     correction: CorrectionRoom
     cells: Cells
     contacts: tuple[Contacts, Contacts]  # two buffers, which the steps fill by turns
-    workspace: tuple | None = None  # what the solver remembers (`registry.make_workspace`)
+    workspace: object = None  # what the solver remembers (`registry.make_workspace`)
     is_built: bool = False  # whether solver bodies and rows are those of the one step to come (`engine.StepProblem`)
 
 

@@ -171,9 +171,11 @@ class State:
         """What a notebook shows: numbers, and a picture of circles and impulses."""
         from deep_contact import plotting  # by the front door: plotting stands above states
 
-        figure, ax = plotting.subplots(size=(3.0, 3.0))
-        plotting.draw_state(ax, self)
-        picture = notebook.image("png", figure._repr_png_())
+        picture = ""
+        if self.bodies.count <= notebook.MOST_CIRCLES:
+            figure, ax = plotting.subplots(size=(3.0, 3.0))
+            plotting.draw_state(ax, self)
+            picture = notebook.image("png", figure._repr_png_())
         return notebook.shown(f"State {self.name!r}", self._summary().items(), picture)
 
     def _summary(self) -> dict[str, str]:

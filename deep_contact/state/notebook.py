@@ -8,6 +8,9 @@ from html import escape
 
 import numpy as np
 
+MOST_CIRCLES = 5000
+"""Of more circles no picture is made: it would take seconds each time that a notebook shows a state."""
+
 MOST_ROWS = 10
 """Most rows of a table of arrays."""
 

@@ -9,6 +9,7 @@ from deep_contact.physics import batches, contact_solver, engine, position_corre
 from deep_contact.physics.segments import NO_SEGMENTS, segment_gap
 from deep_contact.physics.solvers import batched
 from deep_contact.physics.step import make_log
+from deep_contact.state.arrays import no_contacts
 from deep_contact.studies.piles import packed_pile
 
 
@@ -174,3 +175,10 @@ def test_batches_search_for_contacts_as_often_as_pgs():
         cells.append(steps.memory(given).cells.memory)
     np.testing.assert_array_equal(*cells)
     assert cells[0][1] == -1
+
+
+def test_a_new_plan_is_none_even_of_no_circles():
+    """Else its places, which nobody has written, would be those of points that move."""
+    nothing = no_contacts()
+    assert not batches.is_plan_of(batches.make_plan(0, 0), 0, nothing, nothing)
+    assert batches.is_plan_of(batches.plan_batches(*nothing[:2], 0, batches.make_plan(0, 0)), 0, nothing, nothing)
