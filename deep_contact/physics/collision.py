@@ -403,14 +403,20 @@ def _sort_run(values, start, stop):
 
 
 @njit(cache=True, error_model="numpy")
-def find_contacts(position, radius, mass, box, segments, skin, cells, buffer, least):
+def find_contacts(position, radius, mass, box, segments, skin, cells, buffer):
     """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
 
     position: (n, 2), m. radius: (n,), m. mass: (n,), kg; None where no circle is fixed. box: (x_min, y_min, x_max,
     y_max), m, a tuple. segments: `Segments`. skin: of walls and segments, m. cells, buffer: memory to use.
-    least: see `write_geometry`. Returns views of the buffer, or of a larger one.
+    Returns views of the buffer, or of a larger one.
     """
     refresh_list(position, radius, cells, 0.0)
+    return contacts_at(position, radius, mass, box, segments, skin, cells, buffer, 0)
+
+
+@njit(inline="always")
+def contacts_at(position, radius, mass, box, segments, skin, cells, buffer, least):
+    """`find_contacts` after `refresh_list` at these positions. least: see `write_geometry`."""
     while True:
         m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
         if segments is not None:
@@ -582,16 +588,14 @@ def mass_if_fixed(bodies, drive):
 
 
 @njit(inline="always")
-def next_contacts(step, segments, before, solved, cells, buffer, warm, drive, least):
+def next_contacts(bodies, before, box, segments, skin, cells, solved, warm, buffer, drive, dt):
     """Contacts of the step after the one that `solved` those given, found where the bodies are now.
 
-    step: `StepInput`. segments: where they are at its end. before: where the bodies were, (n, 2), m; read only where
-    there are segments (`positions_before`). cells, buffer: memory to use. warm: with the impulses that their pairs had
-    solved; otherwise without. drive: its own. least: see `write_geometry`. Returns the contacts: `find_contacts`.
+    before: where they were, (n, 2), m; read only where there are segments (`positions_before`). warm: with the impulses
+    that their pairs had solved; otherwise without. drive, dt: see `hold`. Returns the contacts: `find_contacts`.
     """
-    bodies, box, skin = step.bodies, step.box, step.scales.wall_skin
-    hold(bodies, before, box, segments, skin, solved, drive, step.dt)
+    hold(bodies, before, box, segments, skin, solved, drive, dt)
     mass = mass_if_fixed(bodies, drive)
-    contacts = find_contacts(bodies.position, bodies.radius, mass, box, segments, skin, cells, buffer, least)
+    contacts = find_contacts(bodies.position, bodies.radius, mass, box, segments, skin, cells, buffer)
     carry_impulses(solved, contacts, warm)
     return contacts

@@ -93,7 +93,7 @@ def advance(setup, contacts, motion, sleep, log, drive):
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
             is_whole, contacts, received, segments = do_part(
-                part, motion, contacts, sleep, setup, log, received, turn, drive
+                part, motion, contacts, sleep, setup, log, received, j // step.parts, turn, drive
             )
             if not is_whole:
                 return contacts, received
@@ -109,8 +109,8 @@ def advance(setup, contacts, motion, sleep, log, drive):
 
 
 @njit(inline="always")
-def do_part(part, motion, contacts, sleep, setup, log, received, turn, drive):
-    """A part of a step: velocities, positions, and the contacts that the next part solves, in buffer `turn`.
+def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive):
+    """A part of the k-th step: velocities, positions, and the contacts that the next part solves, in buffer `turn`.
 
     Returns whether it is done, its contacts, `StepLog.received` and the segments after it. Where a circle is fast and
     the code that stops it is missing, nothing is done: it returns False, and all as it was. It is inlined: a call would
@@ -118,7 +118,7 @@ def do_part(part, motion, contacts, sleep, setup, log, received, turn, drive):
     """
     bodies, box, segments, scales, friction = part.bodies, part.box, part.segments, part.scales, part.friction
     options, memory, n, impacts = setup.options, setup.memory, part.bodies.mass.shape[0], log.loads[:0]
-    solver_bodies, theta, rows = memory.solver_bodies, memory.theta, memory.rows
+    solver_bodies, theta, rows, cells = memory.solver_bodies, memory.theta, memory.rows, memory.cells
     active = sleeping.awake_contacts(contacts, sleep)
     # Velocities: rebounds, forces, rows, and the impulses that solve them.
     if not memory.is_built:
@@ -140,11 +140,13 @@ def do_part(part, motion, contacts, sleep, setup, log, received, turn, drive):
         return False, contacts, received, segments
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
     # The contacts that the next part or step solves, and who sleeps in it.
-    buffer, carry = memory.contacts[turn], options.carry
-    following = next_contacts(part, segments, before, contacts, memory.cells, buffer, carry, drive, np.int64(0))
+    buffer, skin = memory.contacts[turn], scales.wall_skin
+    following = next_contacts(
+        bodies, before, box, segments, skin, cells, contacts, options.carry, buffer, drive, part.dt
+    )
     sleeping.wake_and_put_to_sleep(part, following, sleep, drive)
     # The log.
-    log_part(log, log.progress[DONE] // setup.step.parts, active.body_a.shape[0], sweeps, theta, relaxations)
+    log_part(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
     if is_asked(log):
         received = log_impulses(log, received, contacts, impulses_of(contacts, 1.0 / part.parts), n)
         received = log_impulses(log, received, active, impacts, n)
@@ -160,7 +162,7 @@ class Steps:
 
     def __init__(self, solver, n: int, *, sleep: bool = False, carry: bool = True):
         entry = entry_of(solver)
-        self._advance = entry.advance or advance
+        self._advance = entry.advance(solver) if entry.advance else advance
         self._is_plain = not (sleep or entry.advance)  # whether nothing rare is compiled; once False, it stays
         self._options = StepOptions(entry.settings(solver), solver.position_sweeps, carry)
         self._solver, self._memory, self._direct = solver, {}, {}
@@ -404,7 +406,7 @@ def contacts_of(state: State) -> Contacts:
     segments = segments_in_grid(world, reach_of(state, state.scales)) if world.segments else None
     mass = bodies.mass if bodies.is_fixed.any() else None
     where = bodies.position, bodies.radius, mass, world.box, segments, state.scales.wall_skin
-    found = find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64), 0)
+    found = find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64))
     return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
 
 

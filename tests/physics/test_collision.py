@@ -24,7 +24,7 @@ def pairs_of(contacts):
 
 def search(position, radius, box, cells, skin=0.01):
     """`find_contacts` in a box without segments."""
-    return find_contacts(position, radius, None, box, None, skin, cells, make_contacts(4000), 0)
+    return find_contacts(position, radius, None, box, None, skin, cells, make_contacts(4000))
 
 
 def brute_force_pairs(state):

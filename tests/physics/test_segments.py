@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import circles_at
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import deep_contact as dc
@@ -293,6 +293,8 @@ def side_changes(before, after, segments):
     return count
 
 
+@pytest.mark.filterwarnings("ignore:.*nearly coincide")  # some seeds place two circles so
+@example(seed=104, speed=0.0, name="PGS", dt=1e-3)
 @settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 100_000),

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from deep_contact.compiled import njit
+from deep_contact.compiled.direct import Direct
 from deep_contact.compiled.simd import WIDTH, lane, least, load, load_rows, most, spread, store, store_rows
 from deep_contact.compiled.structures import Structure, StructureType, define
 from deep_contact.constants import POSITION_TOLERANCE
-from deep_contact.physics import batches
+from deep_contact.physics import batches, collision
 from deep_contact.physics.batches import BLOCKS, CONTACTS
-from deep_contact.physics.collision import more_contacts, next_contacts, write_geometry
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -27,7 +27,7 @@ from deep_contact.physics.contact_solver import (
     integrate_positions,
     integrate_velocities,
 )
-from deep_contact.physics.convergence import all_finite, is_over, mark_divergence
+from deep_contact.physics.convergence import all_finite, is_over
 from deep_contact.physics.impacts import logged_rebound
 from deep_contact.physics.position_correction import (
     correct_tiles,
@@ -100,24 +100,40 @@ def sweep_tiles(tiles, first, last, friction):
 
 
 @njit(cache=True)
+def sweep_blocks(plan, tiles, friction):
+    """One sweep over all tiles, in place. Returns θ."""
+    theta = 0.0
+    for k in plan.order[: plan.count[BLOCKS]]:
+        theta = max(theta, sweep_tiles(tiles, plan.first[k], plan.first[k + 1], friction))
+    return theta
+
+
+@njit(cache=True)
+def correct_blocks(plan, tiles, scales):
+    """One sweep of position correction, likewise. Returns the deepest separation, m."""
+    body, data, centre, first, deepest = tiles.body, tiles.data, tiles.centre, plan.first, 0.0
+    for k in plan.order[: plan.count[BLOCKS]]:
+        deepest = min(deepest, correct_tiles(body, data, ARM_B + 1, centre, first[k], first[k + 1], scales))
+    return deepest
+
+
+@njit(cache=True)
 def relax_tiles(settings, plan, tiles, friction, theta):
     """Projected Gauss-Seidel in batches, in place on the tiles; fills θ. Returns the sweeps."""
     for k in range(theta.shape[0]):
-        largest = 0.0
-        for block in plan.order[: plan.count[BLOCKS]]:
-            largest = max(largest, sweep_tiles(tiles, plan.first[block], plan.first[block + 1], friction))
-        theta[k] = largest
-        if is_over(largest, settings.tolerance):
+        theta[k] = sweep_blocks(plan, tiles, friction)
+        if is_over(theta[k], settings.tolerance):
             return k + 1
     return theta.shape[0]
 
 
 @njit(cache=True)
 def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
-    """The same for the rows of one solve. workspace: a `Room`."""
-    n, pairs = solver_bodies.shape[0] - 4, rows.body.astype(np.int64)
-    plan = batches.plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, workspace.plan)
-    tiles = batches.fill_tiles(rows, solver_bodies, plan, workspace.tiles)
+    """The same for the rows of one solve, with a plan and tiles of its own."""
+    m, n = rows.body.shape[0], solver_bodies.shape[0] - 4
+    pairs = rows.body.astype(np.int64)
+    plan = batches.plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, batches.make_plan(n, m))
+    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n + 5, 1))
     sweeps = relax_tiles(settings, plan, tiles, friction, theta)
     batches.empty_tiles(plan, tiles, rows, solver_bodies)
     return sweeps
@@ -126,13 +142,10 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
 @njit(cache=True, error_model="numpy")
 def correct_positions_in_batches(plan, tiles, bodies, scales, sweeps):
     """`position_correction.correct_positions` over the tiles of the plan."""
-    body, data, centre, first = tiles.body, tiles.data, tiles.centre, plan.first
+    centre = tiles.centre[: bodies.mass.shape[0]]
     fill_centres(bodies, centre)
     for _ in range(sweeps):
-        deepest = 0.0
-        for k in plan.order[: plan.count[BLOCKS]]:
-            deepest = min(deepest, correct_tiles(body, data, ARM_B + 1, centre, first[k], first[k + 1], scales))
-        if deepest >= -POSITION_TOLERANCE * scales.slop:
+        if correct_blocks(plan, tiles, scales) >= -POSITION_TOLERANCE * scales.slop:
             break
     take_centres(centre, bodies)
 
@@ -144,94 +157,96 @@ class _RoomType(StructureType):
 class Room(Structure):
     """What the steps of a run hand on, whose fields they replace where they are too small.
 
-    plan: `BatchPlan` of the contacts `planned`. tiles: `Tiles`.
+    plan: `BatchPlan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and this one. memory:
+    `StepMemory`. received: of `StepLog`.
     """
 
 
-define(Room, _RoomType, ("plan", "tiles", "planned"))
+define(Room, _RoomType, ("plan", "tiles", "solved", "contacts", "memory", "received"))
 
 
 @njit(cache=True)
-def make_room(rows, solver_bodies):
-    """A `Room` for as many contacts as there are rows."""
-    n = solver_bodies.shape[0] - 4
-    return Room(batches.make_plan(n, rows.body.shape[0]), batches.make_tiles(n + 5, 1), more_contacts(0))
+def make_room(contacts, setup):
+    """A `Room` for steps that start from these contacts. setup: `StepSetup`."""
+    memory = setup.memory
+    n = memory.cells.cell.shape[0]
+    plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1)
+    return Room(plan, tiles, contacts, contacts, memory, np.zeros((0, 8)))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance_in_batches(setup, contacts, motion, sleep, log, drive):
-    """`engine.advance` for `BatchedPGS`. motion is never None, and sleep always is."""
-    step, memory = setup.step, setup.memory
+def advance_in_batches(setup, contacts, room, log, drive):
+    """`engine.advance` for `BatchedPGS`. room: a `Room`, which each call leaves to the next."""
+    step, options = setup.step, setup.options
+    room.contacts, room.memory, room.received = contacts, setup.memory, log.received
     if drive is not None:
         step = part_of(step, moved_segments(step.segments, drive, 0.0))
-    part, turn, received = step, 0, log.received
+    part, turn, buffers = step, 0, room.memory.contacts
     for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
-        if motion.most > 1:
-            part = part_by_motion(step, part, memory.cells, drive)
-            fly_on(step, part, contacts, step.dt - part.dt, drive)
+        if step.motion.most > 1:
+            part = part_by_motion(step, part, room.memory.cells, drive)
+            fly_on(step, part, room.contacts, step.dt - part.dt, drive)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
-            contacts, received, segments = do_part_in_batches(part, contacts, setup, log, received, turn, drive)
+            segments = do_part_in_batches(part, options, room, buffers[turn], log, j // step.parts, drive)
             if drive is not None:
                 part, step = part_of(part, segments), part_of(step, segments)
-        if motion.most > 1:
-            fly_on(step, part, contacts, part.dt - step.dt, drive)
+        if step.motion.most > 1:
+            fly_on(step, part, room.contacts, part.dt - step.dt, drive)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
     where = step.bodies.position, step.bodies.radius, step.box, step.segments, step.scales.wall_skin
-    write_geometry(*where, contacts, 0)
+    collision.write_geometry(*where, room.contacts, 0)
     log.progress[FINITE] = all_finite(step.bodies.position)
-    return contacts, received
+    return room.contacts, room.received
 
 
 @njit(inline="always")
-def do_part_in_batches(part, contacts, setup, log, received, turn, drive):
-    """`engine.do_part`: velocities, positions, and the contacts that the next part solves, in buffer `turn`.
+def do_part_in_batches(part, options, room, buffer, log, k, drive):
+    """`engine.do_part`: velocities, positions, and the contacts that the next part solves, in the buffer.
 
-    Returns these contacts, `StepLog.received` and the segments after it.
+    Returns the segments after it.
     """
-    bodies, segments, options, memory = part.bodies, part.segments, setup.options, setup.memory
-    room, scales = memory.workspace, part.scales
-    n, theta, rows, is_built = bodies.mass.shape[0], memory.theta, memory.rows, memory.is_built
-    plan_part(n, contacts, room)
-    plan, tiles = room.plan, room.tiles
+    bodies, box, segments, scales = part.bodies, part.box, part.segments, part.scales
+    n, theta, cells, is_built = bodies.mass.shape[0], room.memory.theta, room.memory.cells, room.memory.is_built
+    plan_part(part, room)
+    plan, tiles, solved = room.plan, room.tiles, room.contacts
     # Velocities: rebounds, forces, tiles, and the impulses that solve them.
     velocities = tiles.solver_bodies[:n]
     if is_built:
-        take_velocities(memory.solver_bodies, velocities)
+        take_velocities(room.memory.solver_bodies, velocities)
     else:
-        impacts = logged_rebound(part, part.motion, contacts, log, drive)
-        received = log_impulses(log, received, contacts, impacts, n)
+        impacts = logged_rebound(part, part.motion, solved, log, drive)
+        room.received = log_impulses(log, room.received, solved, impacts, n)
         integrate_velocities(bodies, part.gravity, part.dt, velocities, drive)
-    fill_centres(bodies, tiles.centre)
-    for block in plan.order[: plan.count[BLOCKS]]:  # one after the other, since each changes velocities
-        first, last = plan.first[block], plan.first[block + 1]
-        batches.place_block(part, contacts, plan, tiles, block, rows, is_built, drive)
-        if not is_built and batches.fill_rows(tiles, first, last):
-            batches.part_coinciding(tiles, first, last)
-        batches.start_tiles(tiles, first, last)
+    fill_centres(bodies, tiles.centre[:n])
+    start_blocks(part, solved, plan, tiles, room.memory.rows, is_built, drive)
     sweeps = relax_tiles(options.settings, plan, tiles, part.friction, theta)
-    mark_divergence(velocities, theta, sweeps)
+    if sweeps > 0 and not all_finite(velocities):
+        theta[sweeps - 1] = np.nan
     for block in range(plan.count[BLOCKS]):
-        batches.store_block(plan, tiles, contacts, block, part.parts)
+        batches.store_block(plan, tiles, solved, block, part.parts)
     # Positions: of segments, of circles, and their correction.
     if drive is not None:
-        log_work(part, contacts, velocities, log)
+        log_work(part, solved, velocities, log)
         batches.move_points(plan, tiles, part.dt)
         segments = moved_segments(segments, drive, part.dt)
     before = positions_before(bodies, segments)
     integrate_positions(bodies, velocities, part, segments, drive)
     correct_positions_in_batches(plan, tiles, bodies, scales, options.position_sweeps)
-    step, count = log.progress[DONE] // setup.step.parts, plan.count[CONTACTS]
-    log_part(log, step, count, sweeps, theta, sweeps * count)
+    log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
     if is_asked(log):
-        received = log_impulses(log, received, contacts, impulses_of(contacts, 1.0 / part.parts), n)
+        room.received = log_impulses(log, room.received, solved, impulses_of(solved, 1.0 / part.parts), n)
     # The contacts that the next part or step solves. Logs and impacts read all geometry; tiles, that of walls.
     least = 0 if part.restitution > 0.0 or is_asked(log) or drive is not None else n
-    buffer, carry = memory.contacts[turn], options.carry
-    following = next_contacts(part, segments, before, contacts, memory.cells, buffer, carry, drive, least)
-    return following, received, segments
+    position, radius, skin = bodies.position, bodies.radius, scales.wall_skin
+    collision.hold(bodies, before, box, segments, skin, solved, drive, part.dt)
+    collision.refresh_list(position, radius, cells, 0.0)
+    mass = collision.mass_if_fixed(bodies, drive)
+    room.contacts = collision.contacts_at(position, radius, mass, box, segments, skin, cells, buffer, least)
+    collision.carry_impulses(solved, room.contacts, options.carry)
+    return segments
 
 
 @njit(cache=True)
@@ -243,13 +258,38 @@ def take_velocities(solver_bodies, velocities):
 
 
 @njit(cache=True, error_model="numpy")
-def plan_part(n, contacts, room):
-    """A plan for these contacts of n circles, and room for their tiles, in place."""
-    if not batches.is_plan_of(room.plan, n, contacts, room.planned):
+def plan_part(part, room):
+    """A plan for the contacts of the room, and room for their tiles, in place."""
+    n, contacts = part.bodies.mass.shape[0], room.contacts
+    if not batches.is_plan_of(room.plan, n, contacts, room.solved):
         room.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, room.plan)
     room.tiles = batches.with_room(room.plan, room.tiles)
-    room.planned = contacts
+    room.solved = contacts
 
 
-_LOOP = Loop(BatchSettings, relax_in_batches, make_room)
-register(BatchedPGS, lambda solver: BatchSettings(tolerance_argument(solver)), (_LOOP,), advance=advance_in_batches)
+@njit(cache=True, error_model="numpy")
+def start_blocks(step, contacts, plan, tiles, rows, is_built, drive):
+    """The rows of all blocks and what they start from, block by block, since that changes velocities."""
+    for k in plan.order[: plan.count[BLOCKS]]:
+        batches.place_block(step, contacts, plan, tiles, k, rows, is_built, drive)
+        begin, end = plan.first[k], plan.first[k + 1]
+        if not is_built and batches.fill_rows(tiles, begin, end):
+            batches.part_coinciding(tiles, begin, end)
+        batches.start_tiles(tiles, begin, end)
+
+
+class _Run:
+    """`engine.advance` for a run."""
+
+    def __init__(self, solver: BatchedPGS):
+        self._room, self._plain, self._driven = None, Direct(advance_in_batches), Direct(advance_in_batches)
+
+    def __call__(self, setup, contacts, motion, sleep, log, drive):
+        """As `engine.advance`."""
+        if self._room is None:
+            self._room = make_room(contacts, setup)
+        return (self._plain if drive is None else self._driven)(setup, contacts, self._room, log, drive)
+
+
+_LOOP = Loop(BatchSettings, relax_in_batches)
+register(BatchedPGS, lambda solver: BatchSettings(tolerance_argument(solver)), (_LOOP,), advance=_Run)

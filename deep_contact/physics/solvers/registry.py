@@ -60,8 +60,8 @@ def register(options: type, settings: Callable, loops: tuple[Loop, ...], *, adva
     """Make a solver known, under the name of its options. Raises ValueError if another solver has that name.
 
     options: frozen dataclass with `sweeps`, `tolerance` and `position_sweeps`. settings: function of the
-    options -> NamedTuple of a type that one of the loops has. advance: compiled function in place of `engine.advance`,
-    for a step of its own, which always has tangent rows and puts nothing to sleep.
+    options -> NamedTuple of a type that one of the loops has. advance: function of the options -> function in place of
+    `engine.advance`, for a step of its own, which always has tangent rows and puts nothing to sleep.
     """
     if METHODS.setdefault(options.__name__, options) is not options:
         raise ValueError(f"options: expected a new name, got {options.__name__}, which is {METHODS[options.__name__]}")
