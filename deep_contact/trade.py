@@ -308,15 +308,18 @@ class Trade:
         limits = tolerances or PRESETS[one_of("accuracy", accuracy or "fast", PRESETS)]
         limits = {name: most for name, most in limits.items() if name in known}
 
-        def over(row, end):
-            errors = {name: (row["errors"][name] or (math.inf,) * 3)[end] for name in limits}
+        def excess(row, at):
+            """The largest error over its tolerance. at: 0 for the error itself, 2 for the upper end of its interval."""
+            errors = {name: (row["errors"][name] or (math.inf,) * 3)[at] for name in limits}
             return presets.excess(errors, limits)
 
-        for end, most in ((2, 1.0), (0, presets.MARGIN), (0, 1.0)):
-            if kept := [row for row in mine if over(row, end) <= most]:
+        # First those that keep the tolerances at the upper ends of the intervals, then those whose errors keep them
+        # with a margin, then those whose errors just keep them.
+        for at, most in ((2, 1.0), (0, presets.MARGIN), (0, 1.0)):
+            if kept := [row for row in mine if excess(row, at) <= most]:
                 return min(kept, key=lambda row: row["us"])
         warnings.warn("trade: no setting keeps it; the nearest is taken", presets.PresetWarning, stacklevel=3)
-        return min(mine, key=lambda row: (over(row, 0), row["us"]))
+        return min(mine, key=lambda row: (excess(row, 0), row["us"]))
 
     def enough(self, name: str, difference: float) -> int:
         """The number of seeds with which chance makes at most half of a difference between errors."""

@@ -73,9 +73,9 @@ def compute(options, seed, jobs, progress):
 def errors_on_scene(task: Mapping) -> dict:
     """Errors of starts with all of `SOLVERS` on the same states of a scene of the thesis, with μ = 0.3.
 
-    The training data have 0.5. task: "starts", of which one is "builtin", as `start_of` takes them, the "seed", the
-    "steps", of which one in "every" is measured, and the numbers of sweeps "after" which errors are measured. Returns
-    {"step": (states,), "errors": {setting: (states, len(after))}}.
+    The training data have 0.5. task: a dict. "starts": name -> description (`start_of`), with "builtin" among them.
+    "seed" and "steps": of the scene. "every": one in so many steps is measured. "after": numbers of sweeps after which
+    errors are measured. Returns {"step": (states,), "errors": {setting: (states, len(after))}}.
     """
     starts = {name: start_of(description) for name, description in task["starts"].items()}
     rng, settings = np.random.default_rng(task["seed"]), settings_with(starts)

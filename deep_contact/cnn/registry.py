@@ -19,7 +19,7 @@ def network_file(model=None) -> Path:
     """A model file by its name in the registry (default "model"), or by its path from the current folder or `ROOT`.
 
     Where "models/x.h5" does not exist, it is the registered "x". Raises FileNotFoundError where there is none, and
-    ModelFileError where a file of a registered name is another than the registered one.
+    ModelFileError where the file of a registered name has another SHA-256 than the registry says.
     """
     text, known = "model" if model is None else str(model), registered()
     for place in () if text in known else (Path(text), ROOT / text):

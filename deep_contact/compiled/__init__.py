@@ -83,8 +83,8 @@ def njit(function=None, *, cache=False, **options):
         return partial(njit, cache=cache, **options)
     if config.DISABLE_JIT:
         return function
-    # Fast-math flags are said even where there are none. Else Numba compiles a function with those of its first caller,
-    # and bits depend on what the process compiled before.
+    # Numba gives a function that names no fast-math flags those of its first caller. Then its bits would depend on what
+    # the process compiled before. So a function without flags says so.
     # Nothing takes these functions by a pointer of C, whose wrappers took a twentieth of the time of compiling.
     options = {"fastmath": False} | options | {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True}
     dispatcher = _Dispatcher(function, targetoptions=options)

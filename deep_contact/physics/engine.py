@@ -368,9 +368,9 @@ def motion_parts(solver) -> int:
 
 
 def after_impacts(state: State) -> tuple[State, np.ndarray]:
-    """The state with the velocities after the impacts of its next step (`impacts`), itself where e = 0.
+    """(State, impulses): the state with the velocities after the impacts of its next step, and what these impacts gave.
 
-    And `StepProblem.impacts`.
+    The impulses are `StepProblem.impacts`. Where e = 0 there are no impacts, and the state is the same one.
     """
     if state.world.restitution == 0.0:
         return state, np.zeros((0, 2))
@@ -407,6 +407,7 @@ def contacts_of(state: State) -> Contacts:
     mass = bodies.mass if bodies.is_fixed.any() else None
     where = bodies.position, bodies.radius, mass, world.box, segments, state.scales.wall_skin
     found = find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64))
+    # Copies of who touches whom and where, since those lie in a larger buffer. The four arrays of impulses are zero.
     return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
 
 

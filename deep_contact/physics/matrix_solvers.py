@@ -61,7 +61,9 @@ def solve_problem(
     expect(fits, f"solver: expected one of PGS, NesterovPGS, without islands, got {solver!r}")
     problem = check_problem(problem)
     impulse = np.zeros(problem.b.size) if start is None else floats("start", start, problem.b.shape)
-    theta, blocks, pairs = np.empty(solver.sweeps), blocks_of(problem), impulse.reshape(-1, 2)
+    theta = np.empty(solver.sweeps)
+    blocks = blocks_of(problem)
+    pairs = impulse.reshape(-1, 2)
     done = _relax(blocks, pairs, tolerance_argument(solver), theta, isinstance(solver, NesterovPGS))
     record = convergence_record(theta[:done], solver, blocks.mu.size)
     return np.column_stack(projected(pairs[:, 0], pairs[:, 1], problem.friction)).ravel(), record

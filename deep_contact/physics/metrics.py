@@ -20,7 +20,8 @@ def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
 
     F: of gravity and pushes.
     """
-    bodies = after_impacts(state)[0].bodies
+    after, _ = after_impacts(state)
+    bodies = after.bodies
     velocity, spin = bodies.velocity + state.dt * np.array(state.world.gravity), bodies.spin
     if state.push is not None:
         velocity = velocity + state.dt * state.push[0] / bodies.mass[:, None]

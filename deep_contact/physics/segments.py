@@ -97,7 +97,8 @@ def in_grid(line, reach, most):
     return Segments(line, start, near, every, first, hiding, grid, reach)
 
 
-_in_grid = njit(cache=True, error_model="numpy")(in_grid)
+in_grid_again = njit(cache=True, error_model="numpy")(in_grid)
+"""`in_grid` for compiled callers."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -257,7 +258,7 @@ def moved_segments(segments, drive, dt):
     for s in drive.moving:
         for c in range(4):
             line[s, c] += dt * drive.wall[s, c]
-    return _in_grid(line, segments.reach, 8 * line.shape[0] + 100)
+    return in_grid_again(line, segments.reach, 8 * line.shape[0] + 100)
 
 
 def ground_velocities(contacts, world, n):
@@ -323,8 +324,9 @@ def touches(line, first, hiding, box, s, x, y, reach):
     gap, part = segment_gap(segment, x, y)[0], nearest_part(segment, x, y)
     if not gap <= reach or part == BESIDE:
         return gap <= reach
-    end, column = 2 * s + part - START, 2 * (part - START)
-    e_x, e_y = segment[column], segment[column + 1]
+    which = part - START  # 0: its first end, 1: its second
+    end = 2 * s + which
+    e_x, e_y = segment[2 * which], segment[2 * which + 1]
     if min(e_x - box[0], e_y - box[1], box[2] - e_x, box[3] - e_y) <= ON * reach:
         return False
     for k in hiding[first[end] : first[end + 1]]:

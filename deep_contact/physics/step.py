@@ -167,7 +167,7 @@ def log_part(log, k, contacts, sweeps, theta, relaxations):
 
 @njit(cache=True, error_model="numpy")
 def part_of(step, segments, parts=1):
-    """The input of one of so many parts of a step, with its segments where these are. step: `StepInput`."""
+    """The input of one of several equal parts of a step. step: `StepInput`. segments: those of the part."""
     return StepInput(
         step.bodies, step.box, segments, step.gravity, step.friction, step.restitution, step.dt / parts,
         step.parts * parts, step.scales, step.motion, step.drive,
@@ -178,7 +178,7 @@ def part_of(step, segments, parts=1):
 def log_work(step, contacts, solver_bodies, log):
     """Log the work of a part that has a drive: that of its solved impulses, and that of pushes.
 
-    That of pushes is by the means of the velocities before and after the part.
+    A push works on the mean of the velocities before and after the part.
     """
     bodies, drive, of_pushes = step.bodies, step.drive, 0.0
     for i in range(bodies.mass.shape[0]):

@@ -32,7 +32,10 @@ def part_by_motion(step, part, cells, drive):
 
 @njit(inline="always")
 def fly_on(step, part, contacts, change, drive):
-    """`shift_flights` where motion has divided a substep into parts, whose Δt is another. step: of the substep."""
+    """Let circles that fly go on with another Δt (`shift_flights`), where motion has divided a substep into parts.
+
+    step: `StepInput` of the substep. part: of one of its parts. change: by which Δt becomes shorter, s.
+    """
     if part.parts > step.parts and step.restitution > 0.0:
         shift_flights(step.bodies, contacts, step.gravity, change, drive)
 

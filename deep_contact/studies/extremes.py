@@ -341,9 +341,9 @@ OURS_ALONE = ("tolerance", "start, huge", "start, pulling", "start, outside the 
 
 
 def run_case(case: dict) -> dict:
-    """`measure` of a case {"quantity", "value", "engine", "steps"}, after the first three of these.
+    """What `measure` finds of a case {"quantity", "value", "engine", "steps"}, with the first three beside it.
 
-    A scene that cannot be built is refused.
+    A scene that cannot be built counts as refused.
     """
     _, _, trial_of = QUANTITIES[case["quantity"]]
     about = {"quantity": case["quantity"], "value": float(case["value"]), "engine": case["engine"]}

@@ -26,7 +26,7 @@ def error(setting: Mapping) -> float:
 
 
 def end(setting: Mapping, scene: State, seconds: float) -> State:
-    """The state of a scene after a run with a setting."""
+    """The state to which a run of a scene with a setting has come after so many seconds."""
     run = Run(scene, setting)
     run.advance(round(seconds / setting["dt"]))
     return run.state()

@@ -216,10 +216,11 @@ def timed_rows(
 
 
 def done(name: str, function: Callable, parts: Sequence[dict], *, work: Path, jobs: int | Executor) -> list:
-    """What a function returns of parts, its arguments, in their order: read from `work`, or computed and stored there.
+    """The results of a function for several parts, in the order of the parts. Each part is a dict of its arguments.
 
-    name: of the files. function: found by import; JSON can hold its result. A part with other arguments is another
-    part. One that JSON cannot read is computed again. jobs: as in `parallel.finished`; a process stores its own parts.
+    A result is read from its file in the folder `work`. Where there is no file, or JSON cannot read it, the result is
+    computed and stored. name: what the names of the files begin with. function: found by import; JSON can hold what it
+    returns. jobs: as in `parallel.finished`; a process stores its own results.
     """
     work.mkdir(parents=True, exist_ok=True)
     run = partial(_done, name, function, work)

@@ -73,7 +73,7 @@ def test_cold_and_warm_compiled_code_compute_the_same(tmp_path):
 
 
 def test_a_function_keeps_its_flags_whoever_calls_it_first():
-    """Else it is compiled with the fast-math flags of its first caller: x y − z, fused, is 2⁻⁶⁰ here, and not 0."""
+    """With the flags of its first caller x y − z would be fused, which gives 2⁻⁶⁰ here. Unfused it gives 0."""
 
     @njit
     def product_and_difference(x, y, z):

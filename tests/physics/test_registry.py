@@ -44,3 +44,7 @@ def test_the_precision_that_old_files_name_is_double():
     assert solver_from("PSOR", {"omega": 1.5, "precision": "double"}) == dc.PSOR(omega=1.5)
     with pytest.raises(ValueError, match="precision: expected"):
         solver_from("PSOR", {"precision": "single"})
+
+
+def test_the_threads_that_old_files_name_change_nothing():
+    assert solver_from("BatchedPGS", {"sweeps": 7, "threads": 2}) == dc.BatchedPGS(sweeps=7)

@@ -43,3 +43,17 @@ def test_the_garbage_collector_waits_and_is_enabled_again_after_an_error():
     with pytest.raises(ZeroDivisionError):
         timing.interleaved({"": lambda: 1 / 0}, repeats=1)
     assert gc.isenabled()
+
+
+def test_the_release_of_what_a_run_returns_is_not_timed():
+    clock = Clock()
+
+    class Large:
+        def __del__(self):
+            clock.now += 9.0
+
+    def run():
+        clock.now += 2.0
+        return Large()
+
+    assert timing.interleaved({"": run}, repeats=3, clock=clock, reduce=list) == {"": [2.0, 2.0, 2.0]}
