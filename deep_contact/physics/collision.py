@@ -47,11 +47,28 @@ LEVELS = 16
 STEP = 8.0
 """Largest radius of a level over the smallest that it holds."""
 
-X, Y, PER_METRE, COLUMNS, ROWS, FIRST_CELL, WIDEST = range(7)
-"""Columns of `Cells.grid`."""
+GRID = np.dtype(
+    [
+        ("x", float),  # of the corner, m
+        ("y", float),
+        ("per_metre", float),  # cells
+        ("widest", float),  # largest radius, m
+        ("columns", np.int64),
+        ("rows", np.int64),
+        ("first_cell", np.int64),
+    ]
+)
+"""The cells of one level of size."""
 
-SEARCHES, PAIRS, WAIT = range(3)
-"""Elements of `Cells.memory`."""
+LIST_MEMORY = np.dtype(
+    [
+        ("searches", np.int64),  # since the last sorting; -1 before the first
+        ("pairs", np.int64),  # in the list; -1 where there is none
+        ("wait", np.int64),  # searches until a list is tried again, after one that did not fit
+        ("gap", float),  # below which a pair is near, m
+    ]
+)
+"""What is known of the list of near pairs."""
 
 
 class Cells(NamedTuple):
@@ -68,19 +85,19 @@ class Cells(NamedTuple):
     anchor: np.ndarray  # (n, 2): positions at the last sorting
     first: np.ndarray  # (n + 1,): circles `near[first[a]:first[a + 1]]` are near a and come after it
     near: np.ndarray  # (8n + 40,): circles, for each a by index
-    memory: np.ndarray  # (3,): searches since the last sorting, -1 before the first; pairs in `near`, or -1; searches
-    # until a list is tried again, after one that did not fit
+    memory: np.ndarray  # (1,): `LIST_MEMORY`
     level: np.ndarray  # (n,): of size of each circle: 0 holds the largest
-    grid: np.ndarray  # (16, 7): of a level: corner, m, cells per metre, columns, rows, first cell, largest radius, m
-    gap: np.ndarray  # (1,): below which a pair is near, m
+    grid: np.ndarray  # (16,): of a level: `GRID`
 
 
 def make_cells(n):
     """Buffers of the broad phase over n circles."""
+    memory = np.zeros(1, LIST_MEMORY)
+    memory[0]["searches"] = memory[0]["pairs"] = memory[0]["wait"] = -1
     return Cells(
         np.empty(8 * n + 1000, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3)),
-        np.empty((n, 2)), np.empty(n + 1, np.int64), np.empty(8 * n + 40, np.int32), np.full(3, -1),
-        np.empty(n, np.int64), np.empty((LEVELS, 7)), np.empty(1),
+        np.empty((n, 2)), np.empty(n + 1, np.int64), np.empty(8 * n + 40, np.int32), memory,
+        np.empty(n, np.int64), np.zeros(LEVELS, GRID),
     )  # fmt: skip
 
 
@@ -111,29 +128,30 @@ def refresh_list(position, radius, cells, ahead):
 
     ahead: m; the list has the pairs that are no farther apart than this, and more.
     """
-    n, memory, half, x, y, apart = position.shape[0], cells.memory, 0.49 * (cells.gap[0] - ahead), 0.0, 0.0, math.inf
+    n, memory, x, y, apart = position.shape[0], cells.memory[0], 0.0, 0.0, math.inf
+    half = 0.49 * (memory["gap"] - ahead)
     if n == 0:
         return False
-    if memory[SEARCHES] >= 0:
-        memory[SEARCHES] += ahead == 0.0
-        if memory[PAIRS] >= 0 and moves_within(position, cells.anchor, x, y, half):
+    if memory["searches"] >= 0:
+        memory["searches"] += ahead == 0.0
+        if memory["pairs"] >= 0 and moves_within(position, cells.anchor, x, y, half):
             return True
         x, y, apart = common_motion(position, cells.anchor)
-        if memory[PAIRS] >= 0 and moves_within(position, cells.anchor, x, y, half):
+        if memory["pairs"] >= 0 and moves_within(position, cells.anchor, x, y, half):
             return True
     if not math.isfinite(position.sum()):
-        memory[PAIRS] = -1
+        memory["pairs"] = -1
         return False
     smallest = smallest_of(radius)
-    gap, apart = MOST_NEAR * smallest, apart / max(memory[SEARCHES], 1)
-    if memory[WAIT] > 0:
-        memory[WAIT] -= 1
+    gap, apart = MOST_NEAR * smallest, apart / max(memory["searches"], 1)
+    if memory["wait"] > 0:
+        memory["wait"] -= 1
     elif LASTING * apart + ahead <= gap:
         gap = min(gap, ahead + smallest * max(LEAST_NEAR, NEAR_BY_MOTION * math.sqrt(apart / smallest)))
         find_near(position, radius, gap, cells)
-        if memory[PAIRS] >= 0:
+        if memory["pairs"] >= 0:
             return True
-        memory[WAIT] = TRY_AGAIN
+        memory["wait"] = TRY_AGAIN
     remember(position, gap, cells)
     return False
 
@@ -143,8 +161,8 @@ def remember(position, gap, cells):
     """Note where the circles are, and that there is no list of pairs closer than the gap, m."""
     for i in range(position.shape[0]):
         cells.anchor[i, 0], cells.anchor[i, 1] = position[i, 0], position[i, 1]
-    cells.gap[0] = gap
-    cells.memory[SEARCHES], cells.memory[PAIRS] = 0, -1
+    memory = cells.memory[0]
+    memory["searches"], memory["pairs"], memory["gap"] = 0, -1, gap
 
 
 @njit(cache=True)
@@ -203,7 +221,7 @@ def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
     Fills `grid`, and `start` and `order` from a cell and a circle on; returns the ones after the last. The grid covers
     the centres. Cells are wider where there would be more than about four of them per circle.
     """
-    n, level, grid = position.shape[0], cells.level, cells.grid
+    n, level, grid = position.shape[0], cells.level, cells.grid[number]
     x_min = y_min = math.inf
     x_max = y_max = -math.inf
     inside, widest = 0, 0.0
@@ -214,14 +232,14 @@ def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
             x_min, x_max = min(x_min, position[i, 0]), max(x_max, position[i, 0])
             y_min, y_max = min(y_min, position[i, 1]), max(y_max, position[i, 1])
     if inside == 0:
-        grid[number, :] = 0.0
+        grid["columns"] = 0
         return first_cell, first_circle
     high, wide = y_max - y_min, x_max - x_min
     width = max(2.0 * widest + gap, math.sqrt(wide * high / (4.0 * inside + 16.0)))
     per_metre = (1.0 - 1e-12) / max(width, max(wide, high) / (inside + 4.0))
     columns, rows = int(wide * per_metre) + 1, int(high * per_metre) + 1
-    grid[number, X], grid[number, Y], grid[number, PER_METRE], grid[number, WIDEST] = x_min, y_min, per_metre, widest
-    grid[number, COLUMNS], grid[number, ROWS], grid[number, FIRST_CELL] = columns, rows, first_cell
+    grid["x"], grid["y"], grid["per_metre"], grid["widest"] = x_min, y_min, per_metre, widest
+    grid["columns"], grid["rows"], grid["first_cell"] = columns, rows, first_cell
     count = columns * rows
     begin = cells.start[first_cell : first_cell + count + 1]
     begin[:] = 0
@@ -281,17 +299,18 @@ def circles_around(a, position, reach, levels, cells, found, m):
     Returns m after them, or -1 if they may not fit.
     """
     x, y, first = position[a, 0], position[a, 1], np.int64(m)
-    grid, circle, order = cells.grid, cells.circle, cells.order
+    circle, order = cells.circle, cells.order
     for level in range(levels):
-        columns, per_metre = int(grid[level, COLUMNS]), grid[level, PER_METRE]
-        column, row = (x - grid[level, X]) * per_metre, (y - grid[level, Y]) * per_metre
-        span = TOUCHING * (reach + grid[level, WIDEST]) * per_metre + 1e-9  # more than rounding
+        grid = cells.grid[level]
+        columns, per_metre = grid["columns"], grid["per_metre"]
+        column, row = (x - grid["x"]) * per_metre, (y - grid["y"]) * per_metre
+        span = TOUCHING * (reach + grid["widest"]) * per_metre + 1e-9  # more than rounding
         left, right = int(max(column - span, 0.0)), int(min(column + span, columns - 1.0))
         if left > right:
             continue
-        for neighbour in range(int(max(row - span, 0.0)), int(min(row + span, grid[level, ROWS] - 1.0)) + 1):
+        for neighbour in range(int(max(row - span, 0.0)), int(min(row + span, grid["rows"] - 1.0)) + 1):
             # The cells of a row lie side by side, so these are one run of circles.
-            corner = int(grid[level, FIRST_CELL]) + neighbour * columns
+            corner = grid["first_cell"] + neighbour * columns
             start, stop = cells.start[corner + left], cells.start[corner + right + 1]
             if m >= 0 and m + (stop - start) > found.shape[0]:
                 m = -1
@@ -318,7 +337,7 @@ def find_near(position, radius, gap, cells):
         m = circles_around(a, position, radius[a] + gap, levels, cells, cells.near, m)
         if m < 0:
             return
-    cells.first[n] = cells.memory[PAIRS] = m
+    cells.first[n] = cells.memory[0]["pairs"] = m
 
 
 @njit(cache=True, error_model="numpy")
@@ -330,7 +349,7 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
     saves work and changes no pair. Returns the number of pairs, or -1 if they do not fit.
     """
     n, m = position.shape[0], np.int64(0)
-    if cells.memory[PAIRS] >= 0:
+    if cells.memory[0]["pairs"] >= 0:
         return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
     # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
     if n == 0 or not math.isfinite(position.sum()):

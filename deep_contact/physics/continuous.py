@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.compiled import njit
-from deep_contact.physics.collision import COLUMNS, ROWS, make_cells, sort_level, wall_gap
+from deep_contact.physics.collision import make_cells, sort_level, wall_gap
 from deep_contact.physics.segments import (
     BESIDE,
     ON,
@@ -181,7 +181,7 @@ def _sort_swept(start, move, radius):
     middle = moved(start, move, 0.5)
     cells.level[:] = 0
     sort_level(np.int64(0), middle, radius, 0.0, np.int64(0), np.int64(0), cells)
-    columns, rows = int(cells.grid[0, COLUMNS]), int(cells.grid[0, ROWS])
+    columns, rows = cells.grid[0]["columns"], cells.grid[0]["rows"]
     box, longest, largest = np.empty((n, 4)), np.zeros(2), 0.0
     low, high = np.full(2, np.inf), np.full(2, -np.inf)  # of the middles
     for k in range(n):

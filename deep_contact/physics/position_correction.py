@@ -60,8 +60,8 @@ _FILLED = 8
 _PATIENCE = 50
 """Corrections contact by contact after levels were found too empty: a pile does not widen in a few steps."""
 
-SWEEPS, WAIT = range(2)
-"""Elements of `CorrectionRoom.memory`."""
+CORRECTION_MEMORY = np.dtype([("sweeps", np.int64), ("wait", np.int64)])
+"""Sweeps of the last correction, and corrections until levels are tried again."""
 
 
 class CorrectionRoom(NamedTuple):
@@ -73,7 +73,7 @@ class CorrectionRoom(NamedTuple):
     body: np.ndarray  # (T, 2, 8): a, b as rows of `centre`, eight contacts a tile
     normal: np.ndarray  # (T, 2, 8): of the contacts, likewise
     centre: np.ndarray  # (n + 5, 4): see `fill_ground`; first the circles
-    memory: np.ndarray  # (2,): sweeps of the last correction; corrections without levels left
+    memory: np.ndarray  # (1,): `CORRECTION_MEMORY`
 
 
 def make_correction_room(n, capacity):
@@ -82,7 +82,7 @@ def make_correction_room(n, capacity):
     return CorrectionRoom(
         np.empty(n, np.int64), np.empty(capacity, np.int64), np.empty(capacity, np.int64),
         np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 2, WIDTH)), np.empty((n + 5, 4)),
-        np.zeros(2, np.int64),
+        np.zeros(1, CORRECTION_MEMORY),
     )  # fmt: skip
 
 
@@ -96,16 +96,16 @@ def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
     room: `CorrectionRoom`. What it remembers of the corrections before tells which way costs less; it changes no bit.
     Tiles know walls alone, so with segments it is always contact by contact.
     """
-    n, m, memory = bodies.mass.shape[0], contacts.body_a.shape[0], room.memory
+    n, m, memory = bodies.mass.shape[0], contacts.body_a.shape[0], room.memory[0]
     if m > room.batch.shape[0]:
         room = _larger_room(n, m)
     tiles, done = 0, 0
-    begin = 0 if memory[SWEEPS] > _FEW else _FEW
+    begin = 0 if memory["sweeps"] > _FEW else _FEW
     in_turn = segments is not None and segments.line.shape[0] > 0
     if in_turn:
         begin = sweeps
-    elif memory[WAIT] > 0 or sweeps - begin <= _FEW:
-        memory[WAIT], begin = max(memory[WAIT] - 1, 0), sweeps
+    elif memory["wait"] > 0 or sweeps - begin <= _FEW:
+        memory["wait"], begin = max(memory["wait"] - 1, 0), sweeps
     while done < sweeps:
         if done == begin:
             tiles = fill_levels(contacts, n, room)
@@ -113,7 +113,7 @@ def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
                 fill_centres(bodies, room.centre)
                 fill_ground(box, scales, room.centre[n:])
             else:
-                memory[WAIT] = _PATIENCE
+                memory["wait"] = _PATIENCE
         if tiles > 0:
             deepest = correct_tiles(room.body, room.normal, 2, room.centre, 0, tiles, scales)
         else:
@@ -123,7 +123,7 @@ def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
             break
     if tiles > 0:
         take_centres(room.centre, bodies)
-    memory[SWEEPS] = done
+    memory["sweeps"] = done
 
 
 @njit(cache=True, error_model="numpy")

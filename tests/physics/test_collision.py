@@ -92,7 +92,7 @@ def test_one_large_circle_crowds_no_cells():
     position, radius, cells = np.random.default_rng(0).uniform(1, 79, (2000, 2)), np.full(2000, 0.5), make_cells(2000)
     radius[1000] = 30.0
     search(position, radius, (0, 0, 80, 80), cells)
-    columns, rows = cells.grid[1, 3:5]
+    columns, rows = cells.grid[1][["columns", "rows"]]
     assert columns * rows > 2000
     np.testing.assert_array_equal(np.flatnonzero(cells.level == 0), [1000])
 
@@ -110,7 +110,7 @@ def test_cells_have_room_however_small_and_scattered_the_circles_are(n, stretch)
     position = np.random.default_rng(n).uniform(0, 1e3, (n, 2)) * stretch
     position[: min(n, 2)] = np.array([[0.0, 0.0], [1e3, 1e3]])[:n] * stretch
     assert sort_into_cells(position, np.full(n, 1e-6), 0.0, cells) == 1
-    columns, rows = cells.grid[0, 3:5].astype(int)
+    columns, rows = cells.grid[0][["columns", "rows"]]
     assert columns * rows + 1 <= cells.start.size
     assert cells.start[columns * rows] == n
     assert sorted(cells.order) == list(range(n))
@@ -166,7 +166,7 @@ def test_pairs_are_those_of_a_fresh_search_however_circles_move(move, smallest, 
         if step % 20 == 0:
             way = rng.normal(size=position.shape)
         found, fresh = (search(position, radius, (0, 0, 22, 22), of) for of in (cells, make_cells(120)))
-        made += cells.memory[0] == 0
+        made += cells.memory["searches"][0] == 0
         for one, other in zip(found[:5], fresh[:5]):
             np.testing.assert_array_equal(one, other)
     assert (made == 60) == (move * 2 > smallest / 3)
@@ -181,7 +181,7 @@ def test_a_heap_whose_list_does_not_fit_is_searched_without_one_for_a_while():
         found, fresh = (search(position, np.ones(60), (-5, -5, 5, 5), of) for of in (cells, make_cells(60)))
         assert found.body_a.size > 8 * 60 + 40
         np.testing.assert_array_equal(found.body_b, fresh.body_b)
-        waits.append(cells.memory[2])
+        waits.append(cells.memory["wait"][0])
     assert waits == [-1, *range(20, -1, -1), *range(20, -1, -1), 20, 19]
 
 
@@ -191,6 +191,6 @@ def test_what_a_search_by_size_remembers_changes_no_pair():
     rng, lasted = np.random.default_rng(3), 0
     for step in range(25):
         bodies.position[:] += rng.normal(0, 1e-4 if step % 10 else 1e-2, bodies.position.shape)
-        lasted += cells.memory[0] >= 0
+        lasted += cells.memory["searches"][0] >= 0
         assert pairs_of(search(bodies.position, bodies.radius, box, cells, skin)) == brute_force_pairs(state)
     assert lasted > 15

@@ -7,7 +7,7 @@ from conftest import circles_at
 import deep_contact as dc
 from deep_contact.physics import position_correction
 from deep_contact.physics.engine import contacts_of
-from deep_contact.physics.position_correction import SWEEPS, WAIT, fill_levels, make_correction_room
+from deep_contact.physics.position_correction import fill_levels, make_correction_room
 from deep_contact.physics.segments import NO_SEGMENTS
 
 SIDE = 20.0
@@ -50,10 +50,10 @@ def test_eight_at_a_time_compute_the_same_bits(seed, sweeps):
     expected = in_turn(state, sweeps)
     assert (expected != state.bodies.position).any() == (sweeps > 0)
     for last in (0, 10):  # tiles from the third sweep on, and from the first
-        room.memory[SWEEPS] = last
+        room.memory["sweeps"] = last
         found = corrected(state, sweeps, room)
-        assert room.memory[SWEEPS] == sweeps  # so deep that none ends it early
-        assert room.memory[WAIT] == 0
+        assert room.memory["sweeps"][0] == sweeps  # so deep that none ends it early
+        assert room.memory["wait"][0] == 0
         np.testing.assert_array_equal(found, expected)
 
 
@@ -78,10 +78,10 @@ def test_the_end_is_the_same():
         squeezed = state.replace(bodies=state.bodies._replace(position=share * state.bodies.position))
         squeezed = squeezed.replace(contacts=contacts_of(squeezed))
         room = make_correction_room(400, squeezed.contacts.count)
-        room.memory[SWEEPS] = 10
+        room.memory["sweeps"] = 10
         found = corrected(squeezed, 20_000, room)
         np.testing.assert_array_equal(found, in_turn(squeezed, 20_000))
-        ends.add(int(room.memory[SWEEPS]))
+        ends.add(int(room.memory["sweeps"][0]))
     assert max(ends) < 20_000
     assert len(ends) == 3
 
@@ -109,9 +109,9 @@ def test_a_column_is_corrected_contact_by_contact():
     state = dc.simulate(dc.column(40), steps=5).state
     room = make_correction_room(40, state.contacts.count)
     assert fill_levels(state.contacts, 40, room) == 0
-    room.memory[SWEEPS] = 10
+    room.memory["sweeps"] = 10
     found = corrected(state, 10, room)
-    assert room.memory[WAIT] > 0
+    assert room.memory["wait"][0] > 0
     np.testing.assert_array_equal(found, in_turn(state, 10))
 
 

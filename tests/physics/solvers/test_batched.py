@@ -174,7 +174,7 @@ def test_batches_search_for_contacts_as_often_as_pgs():
         steps(given, contacts, make_log(6))
         cells.append(steps.memory(given).cells.memory)
     np.testing.assert_array_equal(*cells)
-    assert cells[0][1] == -1
+    assert cells[0]["pairs"] == -1
 
 
 def test_a_new_plan_is_none_even_of_no_circles():
