@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact import constants, peers
-from deep_contact.physics.collision import make_contacts, write_geometry
+from deep_contact.physics.collision import Walls, make_contacts, write_geometry
 from deep_contact.physics.engine import ContactSolution, solve
 from deep_contact.physics.segments import segments_in_grid
 from deep_contact.physics.solvers import PGS
@@ -124,9 +124,8 @@ def _sorted_contacts(bodies: Bodies, world: World, listener, ratio: float) -> tu
     contacts = make_contacts(len(pairs))
     contacts.body_a[:], contacts.body_b[:] = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     # Of Box2D's geometry all but the separations is known.
-    write_geometry(
-        bodies.position, bodies.radius, world.box, segments_in_grid(world, 2.0), constants.WALL_SKIN, contacts, 0
-    )
+    walls = Walls(world.box, constants.WALL_SKIN)
+    write_geometry(bodies.position, bodies.radius, walls, segments_in_grid(world, 2.0), contacts, 0)
     contacts = contacts._replace(
         position=found[:, 0:2],
         normal=found[:, 2:4],

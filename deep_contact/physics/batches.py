@@ -251,10 +251,10 @@ def contacts_of_block(plan, k):
 
 
 @njit(cache=True, error_model="numpy")
-def place_block(step, contacts, plan, tiles, k, rows, is_built, drive):
+def place_block(step, contacts, plan, tiles, k, drive):
     """Write the bodies of a block's contacts, and the impulses that they start from, to their places.
 
-    Of walls and segments also what `fill_rows` does not know. step: `StepInput`. rows: `Rows`, if built.
+    Of walls and segments also what `fill_rows` does not know. step: `StepInput`.
     """
     body, data, impulse, n = tiles.body, tiles.data, tiles.impulse, plan.count[CIRCLES]
     body_a, body_b, place = contacts.body_a, contacts.body_b, plan.place
@@ -276,10 +276,16 @@ def place_block(step, contacts, plan, tiles, k, rows, is_built, drive):
                 b, data[t, ARM_B, j] = np.uint32(ground + b - n), 0.0
         body[t, BODY_A, j], body[t, BODY_B, j] = a, b
         impulse[t, NORMAL, j], impulse[t, TANGENT, j] = share * normal_start[i], share * tangent_start[i]
-        if is_built:
-            for column in range(ARM_B + 1):
-                data[t, column, j] = rows.data[i, column]
     pad_block(plan, tiles, k)
+
+
+@njit(cache=True)
+def place_rows(rows, plan, tiles, k):
+    """Write the numbers of a block's contacts to their places, as `fill_rows` would. rows: `Rows`, built."""
+    begin, end = contacts_of_block(plan, k)
+    for i in range(begin, end):
+        for column in range(ARM_B + 1):
+            tiles.data[plan.place[i] // WIDTH, column, plan.place[i] % WIDTH] = rows.data[i, column]
 
 
 @njit(cache=True)

@@ -71,6 +71,13 @@ LIST_MEMORY = np.dtype(
 """What is known of the list of near pairs."""
 
 
+class Walls(NamedTuple):
+    """The walls of the box, as circles meet them."""
+
+    box: tuple  # (x_min, y_min, x_max, y_max), m
+    skin: float  # of walls and segments, m
+
+
 class Cells(NamedTuple):
     """Buffers of the broad phase over n circles, and the pairs that it found near each other (Verlet's neighbour list).
 
@@ -341,16 +348,16 @@ def find_near(position, radius, gap, cells):
 
 
 @njit(cache=True, error_model="numpy")
-def write_pairs(position, radius, box, skin, cells, body_a, body_b):
+def write_pairs(position, radius, walls, cells, body_a, body_b):
     """Narrow phase's test: all touching pairs, sorted by (body_a, body_b), into `body_a` and `body_b`.
 
-    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m. skin: of the walls, m. body_b is a
-    circle, or n + wall. cells: `Cells`, that `refresh_list` has seen at these positions; if they have a list, it
-    saves work and changes no pair. Returns the number of pairs, or -1 if they do not fit.
+    position: (n, 2), m. radius: (n,), m. walls: `Walls`. body_b is a circle, or n + wall. cells: `Cells`, that
+    `refresh_list` has seen at these positions; if they have a list, it saves work and changes no pair. Returns the
+    number of pairs, or -1 if they do not fit.
     """
     n, m = position.shape[0], np.int64(0)
     if cells.memory[0]["pairs"] >= 0:
-        return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
+        return write_near_pairs(position, radius, walls, cells, body_a, body_b)
     # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
     if n == 0 or not math.isfinite(position.sum()):
         return 0
@@ -360,13 +367,13 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
         m = circles_around(a, position, radius[a], levels, cells, body_b, m)
         if m < 0 or m + 4 > body_b.shape[0]:
             return -1
-        m = write_walls(position[a, 0], position[a, 1], radius[a] + skin, box, n, body_b, m)
+        m = write_walls(position[a, 0], position[a, 1], radius[a] + walls.skin, walls.box, n, body_b, m)
         body_a[first:m] = a
     return m
 
 
 @njit(cache=True, error_model="numpy")
-def write_near_pairs(position, radius, box, skin, cells, body_a, body_b):
+def write_near_pairs(position, radius, walls, cells, body_a, body_b):
     """`write_pairs` from the list of those that were near.
 
     Every pair is written, and the next one over it if it does not touch: no branch that cannot be predicted. For
@@ -387,7 +394,7 @@ def write_near_pairs(position, radius, box, skin, cells, body_a, body_b):
             body_a[np.uint32(m)], body_b[np.uint32(m)] = a, b
             m += dx * dx + dy * dy <= TOUCHING * reach * reach
         before = m
-        m = write_walls(x, y, r + skin, box, n, body_b, m)
+        m = write_walls(x, y, r + walls.skin, walls.box, n, body_b, m)
         for k in range(before, m):
             body_a[k] = a
     return m
@@ -422,32 +429,31 @@ def _sort_run(values, start, stop):
 
 
 @njit(cache=True, error_model="numpy")
-def find_contacts(position, radius, mass, box, segments, skin, cells, buffer):
+def find_contacts(position, radius, mass, walls, segments, cells, buffer):
     """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
 
-    position: (n, 2), m. radius: (n,), m. mass: (n,), kg; None where no circle is fixed. box: (x_min, y_min, x_max,
-    y_max), m, a tuple. segments: `Segments`. skin: of walls and segments, m. cells, buffer: memory to use.
-    Returns views of the buffer, or of a larger one.
+    position: (n, 2), m. radius: (n,), m. mass: (n,), kg; None where no circle is fixed. walls: `Walls`. segments:
+    `Segments`. cells, buffer: memory to use. Returns views of the buffer, or of a larger one.
     """
     refresh_list(position, radius, cells, 0.0)
-    return contacts_at(position, radius, mass, box, segments, skin, cells, buffer, 0)
+    contacts = find_pairs(position, radius, mass, walls, segments, cells, buffer)
+    write_geometry(position, radius, walls, segments, contacts, 0)
+    return contacts
 
 
 @njit(inline="always")
-def contacts_at(position, radius, mass, box, segments, skin, cells, buffer, least):
-    """`find_contacts` after `refresh_list` at these positions. least: see `write_geometry`."""
+def find_pairs(position, radius, mass, walls, segments, cells, buffer):
+    """`find_contacts` after `refresh_list` at these positions, without the geometry of the contacts."""
     while True:
-        m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
+        m = write_pairs(position, radius, walls, cells, buffer.body_a, buffer.body_b)
         if segments is not None:
             if m >= 0 and segments.line.shape[0] > 0:
-                m = insert_pairs(position, radius, box, segments, skin, buffer.body_a, buffer.body_b, m)
+                m = insert_pairs(position, radius, walls, segments, buffer.body_a, buffer.body_b, m)
         if m >= 0:
             break
         # Only a heap of overlapping circles has so many pairs.
         buffer = more_contacts(2 * buffer.body_a.shape[0] + 64)
-    contacts = some_contacts(buffer, 0, without_fixed(buffer.body_a, buffer.body_b, mass, m))
-    write_geometry(position, radius, box, segments, skin, contacts, least)
-    return contacts
+    return some_contacts(buffer, 0, without_fixed(buffer.body_a, buffer.body_b, mass, m))
 
 
 @njit(cache=True)
@@ -467,7 +473,7 @@ def without_fixed(body_a, body_b, mass, m):
 
 
 @njit(cache=True, error_model="numpy")
-def write_geometry(position, radius, box, segments, skin, contacts, least):
+def write_geometry(position, radius, walls, segments, contacts, least):
     """Narrow phase: normal, separation and point (the middle of the overlap) of contacts, in place.
 
     least: the least body b of those to write: 0 for all of them, n for walls and segments.
@@ -488,11 +494,11 @@ def write_geometry(position, radius, box, segments, skin, contacts, least):
                 n_x, n_y = n_x / distance, n_y / distance
         else:
             w = min(b - n, 3)
-            separation, n_x, n_y = wall_gap(x, y, box, w), WALL_NORMALS[w, 0], WALL_NORMALS[w, 1]
+            separation, n_x, n_y = wall_gap(x, y, walls.box, w), WALL_NORMALS[w, 0], WALL_NORMALS[w, 1]
             if segments is not None:
                 if b >= n + 4:
                     separation, n_x, n_y = segment_gap(segments.line[b - n - 4], x, y)
-            separation = separation - radius[a] - skin
+            separation = separation - radius[a] - walls.skin
         arm = radius[a] + 0.5 * separation
         contacts.normal[i, 0] = n_x
         contacts.normal[i, 1] = n_y
@@ -562,7 +568,7 @@ def any_outside(position, box):
 
 
 @njit(cache=True)
-def hold_inside(bodies, box, skin, solved):
+def hold_inside(bodies, walls, solved):
     """Put centres that have left the box in this step, in place, half a radius inside: the wall wins over the others.
 
     Only what is pressed harder than the sweeps or position correction can withstand comes so far. solved: the step's
@@ -573,10 +579,10 @@ def hold_inside(bodies, box, skin, solved):
     for k in range(solved.body_a.shape[0]):
         a, b = solved.body_a[k], solved.body_b[k]
         if n <= b < n + 4:
-            was_outside[a, b - n] = solved.separation[k] < -(bodies.radius[a] + skin)
+            was_outside[a, b - n] = solved.separation[k] < -(bodies.radius[a] + walls.skin)
     for i in range(n):
         for wall in range(4):
-            gap = wall_gap(bodies.position[i, 0], bodies.position[i, 1], box, wall)
+            gap = wall_gap(bodies.position[i, 0], bodies.position[i, 1], walls.box, wall)
             if gap < 0.0 and not was_outside[i, wall] and bodies.mass[i] < math.inf:
                 back = gap - 0.5 * bodies.radius[i]
                 bodies.position[i, 0] += back * WALL_NORMALS[wall, 0]
@@ -584,18 +590,22 @@ def hold_inside(bodies, box, skin, solved):
 
 
 @njit(cache=True)
-def hold(bodies, before, box, segments, skin, solved, drive, dt):
-    """`hold_inside` and `hold_beside`, where they are needed. drive: of a step of dt, s, in which segments moved."""
-    if any_outside(bodies.position, box):
-        hold_inside(bodies, box, skin, solved)
+def hold(bodies, before, walls, segments, solved, drive, dt):
+    """`hold_inside` and `hold_beside`, where they are needed.
+
+    before: where the bodies were, (n, 2), m; read only where there are segments (`positions_before`). solved: the
+    contacts there. drive: of a step of dt, s, in which segments moved.
+    """
+    if any_outside(bodies.position, walls.box):
+        hold_inside(bodies, walls, solved)
     if segments is not None:
         if segments.line.shape[0] > 0 and may_cross(bodies, before, solved):
             hold_beside(bodies, before, segments, drive)
     if drive is not None:
         hold_beside_moving(bodies, before, segments, drive, dt)
         # What moves on into a wall of the box has no room left: it passes over the circle, which stays in the box.
-        if any_outside(bodies.position, box):
-            hold_inside(bodies, box, skin, solved)
+        if any_outside(bodies.position, walls.box):
+            hold_inside(bodies, walls, solved)
 
 
 @njit(cache=True)
@@ -604,17 +614,3 @@ def mass_if_fixed(bodies, drive):
     if drive is None:
         return None
     return bodies.mass
-
-
-@njit(inline="always")
-def next_contacts(bodies, before, box, segments, skin, cells, solved, warm, buffer, drive, dt):
-    """Contacts of the step after the one that `solved` those given, found where the bodies are now.
-
-    before: where they were, (n, 2), m; read only where there are segments (`positions_before`). warm: with the impulses
-    that their pairs had solved; otherwise without. drive, dt: see `hold`. Returns the contacts: `find_contacts`.
-    """
-    hold(bodies, before, box, segments, skin, solved, drive, dt)
-    mass = mass_if_fixed(bodies, drive)
-    contacts = find_contacts(bodies.position, bodies.radius, mass, box, segments, skin, cells, buffer)
-    carry_impulses(solved, contacts, warm)
-    return contacts

@@ -107,10 +107,10 @@ def room_for_walls(solver_bodies, contacts, n, drive):
 
 
 @njit(cache=True, error_model="numpy")
-def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, share, drive):
+def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, share):
     """Rows of the contacts with a share of their starting impulses: views of the buffer, or of new memory if too small.
 
-    Effective masses: 1 / (J M⁻¹ Jᵀ). radius: (n,), m. segments: `Segments`. drive: of the step.
+    Effective masses: 1 / (J M⁻¹ Jᵀ). radius: (n,), m. segments: `Segments`. `move_walls` follows where segments move.
     """
     v, m, last = solver_bodies, contacts.body_a.shape[0], radius.shape[0] + 3
     if m > buffer.body.shape[0]:
@@ -132,8 +132,6 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, sh
     if friction is not None:
         if segments is not None:
             move_surfaces(contacts, segments, solver_bodies, rows, last)
-    if drive is not None:
-        move_walls(contacts, segments, drive, solver_bodies, rows, last)
     return rows
 
 
@@ -176,9 +174,9 @@ def move_surfaces(contacts, segments, solver_bodies, rows, last):
 
 
 @njit(cache=True, error_model="numpy")
-def move_walls(contacts, segments, drive, solver_bodies, rows, last):
-    """Give each contact with a segment that moves a solver body of its own, in place. last: as of `move_surfaces`."""
-    row = last
+def move_walls(contacts, segments, solver_bodies, rows, n, drive):
+    """Give each contact with a segment that moves a solver body of its own, in place. n: circles. drive: the step's."""
+    row = last = n + 3
     for i in range(contacts.body_a.shape[0]):
         s = contacts.body_b[i] - last - 1
         if s >= 0 and moves(drive.wall, s):
@@ -295,7 +293,7 @@ def integrate_positions(bodies, solver_bodies, step, segments, drive):
     else:
         if move(bodies, solver_bodies, step.dt, step.scales.max_translation) or has_moving(drive):
             start = moved(bodies.position, bodies.velocity, -step.dt)
-            stop_fast(bodies, start, step.gravity, step.dt, step.box, segments, step.scales, drive)
+            stop_fast(step, start, segments, drive)
     return True
 
 

@@ -52,13 +52,12 @@ MOST_LOOKS = 1000
 
 
 @njit(cache=True, error_model="numpy")
-def stop_fast(bodies, start, gravity, dt, box, segments, scales, drive):
+def stop_fast(step, start, segments, drive):
     """Take back, in place, what circles have moved beyond the first touch of a fast one, and the energy of its fall.
 
-    bodies: after their move of Δt, s. start: (n, 2), where they were, m. gravity, box, scales, drive: of `StepInput`.
-    segments: after their moves.
+    step: `StepInput`, whose bodies have moved for Δt. start: (n, 2), where they were, m. segments: after their moves.
     """
-    n = bodies.mass.shape[0]
+    bodies, dt, n = step.bodies, step.dt, step.bodies.mass.shape[0]
     move = moved(bodies.position, start, -1.0)
     if not math.isfinite(start.sum() + move.sum()):
         return  # the caller of the run says so
@@ -66,7 +65,7 @@ def stop_fast(bodies, start, gravity, dt, box, segments, scales, drive):
     for i in range(n):
         fast[i] = move[i, 0] * move[i, 0] + move[i, 1] * move[i, 1] > (FAST * bodies.radius[i]) ** 2
     stop, when, along = np.ones(n), np.full(n, np.inf), np.zeros((n, 2))
-    path = (start, move, stop, bodies.radius, box, segments, scales)
+    path = (start, move, stop, bodies.radius, step.box, segments, step.scales)
     if drive is not None:
         meet_moving_walls(fast, path, drive, dt)
         if not fast.any():
@@ -102,7 +101,7 @@ def stop_fast(bodies, start, gravity, dt, box, segments, scales, drive):
         if stop[i] < 1.0:
             for axis in range(2):
                 bodies.position[i, axis] = start[i, axis] + stop[i] * move[i, axis] + (1.0 - stop[i]) * along[i, axis]
-            take_back_fall(bodies.velocity[i], (1.0 - stop[i]) * dt, gravity)
+            take_back_fall(bodies.velocity[i], (1.0 - stop[i]) * dt, step.gravity)
 
 
 @njit(cache=True, error_model="numpy")

@@ -12,7 +12,15 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.compiled.direct import Direct
 from deep_contact.physics import sleeping
-from deep_contact.physics.collision import find_contacts, make_cells, make_contacts, next_contacts
+from deep_contact.physics.collision import (
+    Walls,
+    carry_impulses,
+    find_contacts,
+    hold,
+    make_cells,
+    make_contacts,
+    mass_if_fixed,
+)
 from deep_contact.physics.contact_solver import (
     NORMAL,
     NORMAL_MASS,
@@ -25,6 +33,7 @@ from deep_contact.physics.contact_solver import (
     integrate_positions,
     integrate_velocities,
     more_rows,
+    move_walls,
     room_for_walls,
     store_impulses,
 )
@@ -126,7 +135,9 @@ def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive)
         solver_bodies = room_for_walls(solver_bodies, active, n, drive)
         integrate_velocities(bodies, part.gravity, part.dt, solver_bodies, drive)
         sleeping.hold_sleeping(solver_bodies, sleep)
-        rows = contact_rows(active, bodies.radius, segments, solver_bodies, rows, friction, 1.0 / part.parts, drive)
+        rows = contact_rows(active, bodies.radius, segments, solver_bodies, rows, friction, 1.0 / part.parts)
+        if drive is not None:
+            move_walls(active, segments, solver_bodies, rows, n, drive)
     apply_impulses(rows, solver_bodies, friction)
     sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, memory.workspace)
     store_impulses(rows, active, part.parts)
@@ -140,10 +151,10 @@ def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive)
         return False, contacts, received, segments
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
     # The contacts that the next part or step solves, and who sleeps in it.
-    buffer, skin = memory.contacts[turn], scales.wall_skin
-    following = next_contacts(
-        bodies, before, box, segments, skin, cells, contacts, options.carry, buffer, drive, part.dt
-    )
+    walls, mass, buffer = Walls(box, scales.wall_skin), mass_if_fixed(bodies, drive), memory.contacts[turn]
+    hold(bodies, before, walls, segments, contacts, drive, part.dt)
+    following = find_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
+    carry_impulses(contacts, following, options.carry)
     sleeping.wake_and_put_to_sleep(part, following, sleep, drive)
     # The log.
     log_part(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
@@ -281,7 +292,10 @@ def build_rows(step, contacts, solver_bodies, drive):
     """Fill the solver bodies of a step, after its impacts, and return its rows. step: `StepInput`. drive: its own."""
     integrate_velocities(step.bodies, step.gravity, step.dt, solver_bodies, drive)
     buffer, radius = more_rows(contacts.body_a.shape[0], step.friction), step.bodies.radius
-    return contact_rows(contacts, radius, step.segments, solver_bodies, buffer, step.friction, 1.0, drive)
+    rows = contact_rows(contacts, radius, step.segments, solver_bodies, buffer, step.friction, 1.0)
+    if drive is not None:
+        move_walls(contacts, step.segments, solver_bodies, rows, radius.shape[0], drive)
+    return rows
 
 
 class ContactSolution(NamedTuple):
@@ -405,8 +419,9 @@ def contacts_of(state: State) -> Contacts:
     bodies, world = native(state).bodies, state.world
     segments = segments_in_grid(world, reach_of(state, state.scales)) if world.segments else None
     mass = bodies.mass if bodies.is_fixed.any() else None
-    where = bodies.position, bodies.radius, mass, world.box, segments, state.scales.wall_skin
-    found = find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64))
+    walls, cells = Walls(world.box, state.scales.wall_skin), make_cells(bodies.count)
+    buffer = make_contacts(4 * bodies.count + 64)
+    found = find_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
     # Copies of who touches whom and where, since those lie in a larger buffer. The four arrays of impulses are zero.
     return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
 

@@ -75,6 +75,7 @@ class Round(NamedTuple):
     | sums     | Σ p_i x_i, which turns into L, and Σ p_i (n_i · u), of a cluster  | (n, 2)     | J    |
     | impulse  | what a circle receives: along x and y, and its moment over r      | (n + 1, 3) | N·s  |
     | fastest  | fastest approach at a circle in this step                         | (n + 1,)   | m/s  |
+    | received | of second bodies in this step; (0, 2) where nobody asks           | (m, 2)     | N·s  |
 
     Row n stands for walls and segments.
     """
@@ -88,6 +89,7 @@ class Round(NamedTuple):
     sums: np.ndarray
     impulse: np.ndarray
     fastest: np.ndarray
+    received: np.ndarray
 
 
 @njit(inline="always")
@@ -149,7 +151,7 @@ def reflect(step, contacts, impulse, drive):
     m, n, floor = contacts.body_a.shape[0], step.bodies.mass.shape[0], floor_of(step)
     now = Round(
         np.arange(m), np.empty(m), np.empty(m), np.empty(n, np.int64), np.zeros(n + 1), np.empty(n + 1, np.int64),
-        np.empty((n, 2)), np.empty((n + 1, 3)), np.zeros(n + 1),
+        np.empty((n, 2)), np.empty((n + 1, 3)), np.zeros(n + 1), impulse,
     )  # fmt: skip
     slowest = max(SLOWEST, SLOWEST_LOSSY * (1.0 - step.restitution * step.restitution))
     head, following = contacts_of_circles(contacts, n)
@@ -158,7 +160,7 @@ def reflect(step, contacts, impulse, drive):
         struck = approaching(step, contacts, count, now, floor, slowest, drive)
         circles = join(step.bodies, contacts, struck, now)
         push(step, contacts, struck, circles, now)
-        rub(step, contacts, struck, circles, now, step.friction, impulse, drive)
+        rub(step, contacts, struck, circles, now, step.friction, drive)
         strikes, count = strikes + struck, 0
         for k in range(circles):
             end = head[now.circle[k]]
@@ -331,8 +333,8 @@ def give(now, a, b, p_x, p_y):
 
 
 @njit(cache=True, error_model="numpy")
-def rub(step, contacts, struck, circles, now, friction, impulse, drive):
-    """Give the circles the friction of their normal impulses, in place. impulse: of `rebound`.
+def rub(step, contacts, struck, circles, now, friction, drive):
+    """Give the circles the friction of their normal impulses, in place.
 
     Not inlined: only the type of an argument tells the compiler that there is no friction.
     """
@@ -348,9 +350,9 @@ def rub(step, contacts, struck, circles, now, friction, impulse, drive):
             give(now, a, row, p_t * n_y, -p_t * n_x)
             now.impulse[a, 2] += arms[0] * p_t
             now.impulse[row, 2] += arms[1] * p_t
-        if impulse.shape[0] > 0:
-            impulse[i, 0] += p_n * n_x + p_t * n_y
-            impulse[i, 1] += p_n * n_y - p_t * n_x
+        if now.received.shape[0] > 0:
+            now.received[i, 0] += p_n * n_x + p_t * n_y
+            now.received[i, 1] += p_n * n_y - p_t * n_x
     if friction is not None:
         for k in range(circles):
             c = now.circle[k]

@@ -39,8 +39,8 @@ def follow(problem: ContactProblem, epsilon: float, states, x, u, q, limit: int)
     equations = Equations(problem, epsilon, states, q)
     t, contact, previous, pivots, turns = 1.0, AT_START, OPEN, 0, 0
     while True:
-        dx, du = equations.rates()
-        t, contact, previous, grows = _next_pivot(states, problem.friction, x, u, dx, du, t, contact, previous)
+        rates = equations.rates()
+        t, contact, previous, grows = _next_pivot(states, problem.friction, (x, u), rates, t, contact, previous)
         turns += grows
         if contact < 0 or pivots + equations.factorizations > limit or turns > MOST_TURNS:
             return contact == AT_END, pivots, equations.factorizations
@@ -155,11 +155,12 @@ def first_change(states, friction, x, u, dx, du, sign):
 
 
 @njit(cache=True, error_model="numpy")
-def _next_pivot(states, friction, x, u, dx, du, t, contact, previous):
-    """Go on, in place, from the change of `contact` to the next.
+def _next_pivot(states, friction, point, rates, t, contact, previous):
+    """Go on, in place, from the change of `contact` to the next. point: (λ, u). rates: what they change by as t grows.
 
     Returns (t, the next contact, its state before, whether t grew).
     """
+    (x, u), (dx, du) = point, rates
     total, sign = 0.0, -1.0
     for i in range(states.shape[0]):
         total += 0.0 * (dx[i, 0] + dx[i, 1] + du[i, 0] + du[i, 1])

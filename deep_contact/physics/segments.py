@@ -310,12 +310,13 @@ def segment_gap(segment, x, y, h_x=0.0, h_y=0.0):
 
 
 @njit(cache=True, error_model="numpy")
-def touches(line, first, hiding, box, s, x, y, reach):
+def touches(segments, box, s, x, y, reach):
     """Whether a circle has a contact with segment s: no farther than `reach`, m, and with no end that is hidden.
 
     An end is hidden where a wall, or another segment that is at least as near, has the contact in place of it. Of ends
-    that are equally near the first stays. line, first, hiding: of `Segments`. box: of the `World`.
+    that are equally near the first stays. box: of the `World`.
     """
+    line = segments.line
     segment = line[s]
     if x < min(segment[0], segment[2]) - reach or x > max(segment[0], segment[2]) + reach:
         return False
@@ -329,7 +330,7 @@ def touches(line, first, hiding, box, s, x, y, reach):
     e_x, e_y = segment[2 * which], segment[2 * which + 1]
     if min(e_x - box[0], e_y - box[1], box[2] - e_x, box[3] - e_y) <= ON * reach:
         return False
-    for k in hiding[first[end] : first[end + 1]]:
+    for k in segments.hiding[segments.first[end] : segments.first[end + 1]]:
         if hides(line[k], e_x, e_y, x, y, reach):
             other = segment_gap(line[k], x, y)[0]
             if other < gap or (other == gap and k < s) or nearest_part(line[k], x, y) == BESIDE:
@@ -351,14 +352,14 @@ def hides(segment, e_x, e_y, x, y, reach):
 
 
 @njit(cache=True)
-def insert_pairs(position, radius, box, segments, skin, body_a, body_b, m):
+def insert_pairs(position, radius, walls, segments, body_a, body_b, m):
     """Insert the circles and segments that touch among m sorted pairs, in place. Returns their number, -1 if full."""
     n, end = position.shape[0], m
-    line, first, hiding, circles = segments.line, segments.first, segments.hiding, np.empty(n, np.int64)
+    circles = np.empty(n, np.int64)
     for i in circles[: circles_beside(segments, position, position, circles)]:
         x, y = position[i, 0], position[i, 1]
         for s in near_box(segments, x, x, y, y, segments.every):
-            if touches(line, first, hiding, box, s, x, y, NEARLY * (radius[i] + skin)):
+            if touches(segments, walls.box, s, x, y, NEARLY * (radius[i] + walls.skin)):
                 if end == body_a.shape[0]:
                     return -1
                 body_a[end], body_b[end] = i, n + 4 + s

@@ -41,19 +41,20 @@ def supported(state, problem) -> tuple[np.ndarray, np.ndarray]:
     height[:n] = np.where(state.bodies.is_fixed, -np.inf, state.bodies.position @ -gravity)
     still = velocities.copy()
     still[:n, :V_S] = state.bodies.velocity  # before gravity
-    impulse = np.zeros((m, 2))
+    rows = rows._replace(impulse=np.zeros((m, 2)))
     order = np.argsort(-height[:n], kind="stable")
-    hand_down(rows.body, rows.data, problem.friction, velocities, still, height, order, impulse)
-    return impulse[:, NORMAL].copy(), impulse[:, TANGENT].copy()
+    hand_down(rows, problem.friction, velocities, still, height, order)
+    return rows.impulse[:, NORMAL].copy(), rows.impulse[:, TANGENT].copy()
 
 
 @njit(cache=True, error_model="numpy")
-def hand_down(body, data, friction, v, still, height, order, impulse):
-    """Fill the impulses, (m, 2), N·s, and change the velocities v, (n + 4, 4), of circles after gravity, in place.
+def hand_down(rows, friction, v, still, height, order):
+    """Fill the impulses of the rows, and change the velocities v, (n + 4, 4), of circles after gravity, in place.
 
-    body, data: of `Rows`. still: velocities of what does not give way, before gravity. height: of the solver bodies.
-    order: circles from the highest down.
+    still: velocities of what does not give way, before gravity. height: of the solver bodies. order: circles from the
+    highest down.
     """
+    body, data, impulse = rows.body, rows.data, rows.impulse
     n, m = order.shape[0], body.shape[0]
     first = np.zeros(n + 2, np.int64)
     for i in range(m):
@@ -69,15 +70,15 @@ def hand_down(body, data, friction, v, still, height, order, impulse):
         mine = below[first[a] : first[a + 1]]
         for _ in range(LOCAL_SWEEPS):
             for i in mine:
-                carry(a, i, body, data, friction, v, still, impulse)
+                carry(a, i, rows, friction, v, still)
         for i in mine:
             # Its bound was that of the normal impulse before.
             bound = friction * impulse[i, NORMAL]
             impulse[i, TANGENT] = max(-bound, min(impulse[i, TANGENT], bound))
             is_a = body[i, BODY_A] == a
             b, sign = (body[i, BODY_B], 1.0) if is_a else (body[i, BODY_A], -1.0)
-            arm = data[i, ARM_B if is_a else ARM_A]
-            push(v, b, sign, data[i, N_X], data[i, N_Y], arm, impulse[i, NORMAL], impulse[i, TANGENT])
+            arm, normal = data[i, ARM_B if is_a else ARM_A], (data[i, N_X], data[i, N_Y])
+            push(v, b, sign, normal, arm, (impulse[i, NORMAL], impulse[i, TANGENT]))
 
 
 @njit(cache=True)
@@ -88,8 +89,9 @@ def upper_of(body, height, i):
 
 
 @njit(cache=True, error_model="numpy")
-def carry(a, i, body, data, friction, v, still, impulse):
+def carry(a, i, rows, friction, v, still):
     """Relax contact i of the circle a alone, in place on its velocity and on the impulse: friction row, normal row."""
+    body, data, impulse = rows.body, rows.data, rows.impulse
     is_a = body[i, BODY_A] == a
     b, sign = (body[i, BODY_B], -1.0) if is_a else (body[i, BODY_A], 1.0)
     n_x, n_y = data[i, N_X], data[i, N_Y]
@@ -102,13 +104,13 @@ def carry(a, i, body, data, friction, v, still, impulse):
     p_n = max(impulse[i, NORMAL] - (d_x * n_x + d_y * n_y) / w, 0.0) - impulse[i, NORMAL]
     impulse[i, NORMAL] += p_n
     impulse[i, TANGENT] += p_t
-    push(v, a, sign, n_x, n_y, mine, p_n, p_t)
+    push(v, a, sign, (n_x, n_y), mine, (p_n, p_t))
 
 
 @njit(cache=True)
-def push(v, a, sign, n_x, n_y, arm, p_n, p_t):
+def push(v, a, sign, normal, arm, impulse):
     """Give a body an impulse (λ_n, λ_t), N·s, in place. sign: −1 for body a of the contact, 1 for body b."""
-    w = v[a, INVERSE_MASS]
+    w, (n_x, n_y), (p_n, p_t) = v[a, INVERSE_MASS], normal, impulse
     v[a, V_X] += sign * w * (p_n * n_x + p_t * n_y)
     v[a, V_Y] += sign * w * (p_n * n_y - p_t * n_x)
     v[a, V_S] += 2.0 * w * arm * p_t

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from deep_contact.constants import WALL_SKIN
 from deep_contact.physics.collision import (
     TOUCHING,
+    Walls,
     carry_impulses,
     find_contacts,
     make_cells,
@@ -24,7 +25,7 @@ def pairs_of(contacts):
 
 def search(position, radius, box, cells, skin=0.01):
     """`find_contacts` in a box without segments."""
-    return find_contacts(position, radius, None, box, None, skin, cells, make_contacts(4000))
+    return find_contacts(position, radius, None, Walls(box, skin), None, cells, make_contacts(4000))
 
 
 def brute_force_pairs(state):

@@ -73,9 +73,8 @@ def test_the_grid_lists_every_segment_within_reach_of_a_place_or_a_way(kind):
         cell = near_box(segments, x, x, y, y, buffer)
         assert set(np.flatnonzero(near)) <= set(cell)
         assert i in beside or not near.any()
-        lists = line, segments.first, segments.hiding, EVERYWHERE
-        found = {s for s in cell if touches(*lists, s, x, y, reach)}
-        assert found == {s for s in segments.every if touches(*lists, s, x, y, reach)}
+        found = {s for s in cell if touches(segments, EVERYWHERE, s, x, y, reach)}
+        assert found == {s for s in segments.every if touches(segments, EVERYWHERE, s, x, y, reach)}
     for (x, y), (to_x, to_y) in zip(points[:-2:7], points[1:-1:7]):
         way = np.array([x, y]) + np.linspace(0.0, 1.0, 50)[:, None] * (to_x - x, to_y - y)
         near = (distances(line, way) <= reach).any(axis=0)
@@ -205,9 +204,9 @@ def test_touching_segments_equal_brute_force():
 @pytest.mark.parametrize("point", [(-1.0, 0.0), (3.0, 0.0), (1.0, -1.0), (1.0, 1.0)])
 def test_a_segment_touches_as_far_as_the_reach_goes(point):
     for segment in ([0.0, 0.0, 2.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0, 0.0]):
-        alone = np.array([segment]), np.zeros(3, int), np.zeros(0, int), EVERYWHERE, 0
-        assert touches(*alone, *point, 1.0)
-        assert not touches(*alone, *point, np.nextafter(1.0, 0.0))
+        alone = in_grid(np.array([segment]), 1.0, 100)
+        assert touches(alone, EVERYWHERE, 0, *point, 1.0)
+        assert not touches(alone, EVERYWHERE, 0, *point, np.nextafter(1.0, 0.0))
 
 
 def test_an_end_is_touched_by_what_comes_within_and_not_by_what_is_there():

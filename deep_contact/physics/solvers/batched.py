@@ -196,8 +196,8 @@ def advance_in_batches(setup, contacts, room, log, drive):
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
-    where = step.bodies.position, step.bodies.radius, step.box, step.segments, step.scales.wall_skin
-    collision.write_geometry(*where, room.contacts, 0)
+    walls = collision.Walls(step.box, step.scales.wall_skin)
+    collision.write_geometry(step.bodies.position, step.bodies.radius, walls, step.segments, room.contacts, 0)
     log.progress[FINITE] = all_finite(step.bodies.position)
     return room.contacts, room.received
 
@@ -240,11 +240,12 @@ def do_part_in_batches(part, options, room, buffer, log, k, drive):
         room.received = log_impulses(log, room.received, solved, impulses_of(solved, 1.0 / part.parts), n)
     # The contacts that the next part or step solves. Logs and impacts read all geometry; tiles, that of walls.
     least = 0 if part.restitution > 0.0 or is_asked(log) or drive is not None else n
-    position, radius, skin = bodies.position, bodies.radius, scales.wall_skin
-    collision.hold(bodies, before, box, segments, skin, solved, drive, part.dt)
+    position, radius, walls = bodies.position, bodies.radius, collision.Walls(box, scales.wall_skin)
+    collision.hold(bodies, before, walls, segments, solved, drive, part.dt)
     collision.refresh_list(position, radius, cells, 0.0)
     mass = collision.mass_if_fixed(bodies, drive)
-    room.contacts = collision.contacts_at(position, radius, mass, box, segments, skin, cells, buffer, least)
+    room.contacts = collision.find_pairs(position, radius, mass, walls, segments, cells, buffer)
+    collision.write_geometry(position, radius, walls, segments, room.contacts, least)
     collision.carry_impulses(solved, room.contacts, options.carry)
     return segments
 
@@ -271,7 +272,9 @@ def plan_part(part, room):
 def start_blocks(step, contacts, plan, tiles, rows, is_built, drive):
     """The rows of all blocks and what they start from, block by block, since that changes velocities."""
     for k in plan.order[: plan.count[BLOCKS]]:
-        batches.place_block(step, contacts, plan, tiles, k, rows, is_built, drive)
+        batches.place_block(step, contacts, plan, tiles, k, drive)
+        if is_built:
+            batches.place_rows(rows, plan, tiles, k)
         begin, end = plan.first[k], plan.first[k + 1]
         if not is_built and batches.fill_rows(tiles, begin, end):
             batches.part_coinciding(tiles, begin, end)
