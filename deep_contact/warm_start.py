@@ -114,9 +114,10 @@ class Random:
 
 @dataclass(frozen=True)
 class Bad:
-    """As wrong as a start in the cone gets: every λ_n is `factor` times the largest solved one, and every λ_t lies on
-    the
-    edge of the cone on the wrong side."""
+    """As wrong as a start in the cone gets: every λ_n is `factor` times the largest solved one.
+
+    Every λ_t lies on the edge of the cone, on the wrong side.
+    """
 
     factor: float = 10.0
 

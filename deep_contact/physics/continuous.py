@@ -106,7 +106,7 @@ def stop_fast(step, start, segments, drive):
 
 @njit(cache=True, error_model="numpy")
 def meet_moving_walls(fast, path, drive, dt):
-    """Let those be fast as well, in place, whose way is long as a moving segment near it sees it."""
+    """Let circles be fast as well, in place, whose way is long relative to a moving segment near it."""
     start, move, _, radius, _, segments, scales = path
     line = segments.line
     for s in drive.moving:
@@ -125,7 +125,7 @@ def meet_moving_walls(fast, path, drive, dt):
 
 @njit(cache=True)
 def meet_fixed(fast, path, swept, mass):
-    """Let circles be fast, in place, that a fast fixed circle may meet, and fixed ones not."""
+    """Let the circles that a fast fixed circle may meet be fast, in place. No fixed circle is fast then."""
     for k in range(mass.shape[0]):
         if mass[k] == np.inf and fast[k]:
             for i in _crossing(k, path, swept):
@@ -136,7 +136,7 @@ def meet_fixed(fast, path, swept, mass):
 
 @njit(cache=True)
 def go_along(i, other, path, mass, drive, dt, along):
-    """Write what carries circle i on, in a whole step, m, if that is what it meets: a segment or a fixed circle."""
+    """If circle i meets a moving segment or a fixed circle, write how far that carries it in a whole step, m."""
     start, move, segments, n = path[0], path[1], path[5], mass.shape[0]
     if other >= n + 4 and moves(drive.wall, other - n - 4):
         x, y = carried(segments.line, drive.wall, other - n - 4, dt, start[i, 0], start[i, 1])
@@ -218,9 +218,10 @@ def _crossing(i, path, swept):
 
 @njit(cache=True, error_model="numpy")
 def take_back_fall(velocity, time, gravity):
-    """Change a velocity, (2,), m/s, in place, by the energy of the way that it does not fall, or rise, in this time, s.
+    """Change a velocity, (2,), m/s, in place, of a circle that has stopped this time, s, before the end of its step.
 
-    What stops early has not lost that height, or not won it: with all of its speed its energy would change.
+    It has the speed that gravity gives within a whole step, but has not fallen, or risen, all the way. The energy of
+    the way that is missing is taken out of its speed, or put into it.
     """
     g = math.hypot(gravity[0], gravity[1])
     if g == 0.0:

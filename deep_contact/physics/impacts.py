@@ -112,8 +112,8 @@ def logged_rebound(step, motion, contacts, log, drive):
 def rebound(step, contacts, impulse, drive):
     """Let circles that meet rebound, in place on their velocities and spins, where e > 0: by `reflect`.
 
-    Velocities are half a step behind the positions in what pushes give, as in what gravity gives; fixed circles rise as
-    walls do. Returns the work of pushes in that, J. drive: of the step.
+    Velocities are half a step behind the positions (see the module). So pushes act for half a step before the rebounds,
+    and fixed circles rise as walls do. Returns the work of pushes in the rebounds, J. drive: of the step.
     """
     work, bodies = 0.0, step.bodies
     if step.restitution == 0.0:

@@ -73,9 +73,9 @@ def has_new_load(state: State) -> bool:
 def with_new_load(state: StateWithContacts, solver) -> StateWithContacts:
     """The state with impulses that fit its load, from those that it carries of another one.
 
-    Those stay where the solver of the steps to come makes no more energy of them than of a start from zero, and no
-    circle faster than one is now, but for `KICK`. Otherwise they are found anew, from the share of the carried ones
-    that leaves the least energy. Where that makes more energy than a start from zero, the state starts from zero.
+    They stay if the solver of the steps to come leaves no more energy from them than from zero, and makes no circle
+    faster than the fastest is now, by more than `KICK`. Otherwise they are found anew, from the share of the carried
+    ones that leaves the least energy. Where that leaves more energy than zero does, the state starts from zero.
     solver: with numbers in place of what follows the scene (`for_state`).
     """
     contacts = state.contacts
@@ -102,7 +102,7 @@ def with_a_past(state: StateWithContacts) -> StateWithContacts:
     problem = step_problem(state)
     normal, tangent = _good(state, *supported(state, problem), problem, None)
     rows = problem.rows._replace(impulse=np.column_stack([normal, tangent]))
-    # Impulses of which less than half would be best leave more energy than none.
+    # Where the best share of these impulses is below one half, all of them leave more energy than none.
     if not np.isfinite(rows.impulse).all() or best_share(rows, problem.solver_bodies) < 0.5:
         return state
     return _starting(state, normal, tangent)

@@ -152,7 +152,7 @@ def list_hiding(segments, fill, hiding):
 def circles_beside(segments, before, position, found):
     """Write into `found`, (n,), the circles that may meet a segment on their way. Returns their number.
 
-    before, position: where they were and are, (n, 2), m. None is left out that comes within reach of a segment's line.
+    before, position: where they were and are, (n, 2), m. All that come within reach of a segment are among them.
     """
     (corner_x, corner_y, per_metre, columns, rows), start, reach = segments.grid, segments.start, segments.reach
     count = 0
@@ -414,9 +414,10 @@ def positions_before(bodies, segments):
 
 @njit(cache=True)
 def may_cross(bodies, before, solved):
-    """Whether a centre may have crossed a segment on its way: none has that went less than half of its radius.
+    """Whether a centre may have crossed a segment on its way.
 
-    Unless it was nearer than that to one, as its contact tells. before: positions, (n, 2), m. solved: contacts there.
+    One that went less than half of its radius has not, unless it had been nearer to a segment than that, which its
+    contact tells. before: positions, (n, 2), m. solved: contacts there.
     """
     position, radius, n = bodies.position, bodies.radius, bodies.radius.shape[0]
     body_a, body_b, separation = solved.body_a, solved.body_b, solved.separation
@@ -432,7 +433,7 @@ def may_cross(bodies, before, solved):
 
 @njit(cache=True)
 def hold_beside(bodies, before, segments, drive):
-    """Take back half of the way, in place, of the centres that have crossed a segment that rests, to where they did.
+    """Put centres that have crossed a resting segment back, in place, to half of their way to the crossing.
 
     before: positions at the start of the step, (n, 2), m. Only what is pressed harder than the sweeps or position
     correction can withstand comes so far.
@@ -450,7 +451,7 @@ def hold_beside(bodies, before, segments, drive):
 
 @njit(cache=True, error_model="numpy")
 def hold_beside_moving(bodies, before, segments, drive, dt):
-    """`hold_beside` for the segments that move, which have for Δt, s."""
+    """`hold_beside` for the segments that move. They have moved for Δt, s."""
     position, line = bodies.position, segments.line
     for s in drive.moving:
         for i in range(position.shape[0]):

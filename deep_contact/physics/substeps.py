@@ -64,7 +64,10 @@ def parts_of(step, cells, drive):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def fastest_possible(velocity, gravity, dt):
-    """(Of two circles, of a circle and what stands still): no approach is faster, m/s. velocity: (n, 2), m/s."""
+    """(Of two circles, of a circle to what stands still): speeds, m/s, that no approach exceeds within Δt.
+
+    velocity: (n, 2), m/s.
+    """
     x_min = x_max = velocity[0, 0]
     y_min = y_max = velocity[0, 1]
     for i in range(velocity.shape[0]):
@@ -120,7 +123,8 @@ def fastest_onto_walls(step, fastest, drive):
 def fastest_pair(step, cells, gap, fastest):
     """The fastest approach that closes the gap of two circles within Δt, m/s, or `fastest`.
 
-    gap: m, that no approach closes in Δt. It is read from the list of near pairs where that reaches so far, or pays.
+    gap: m; circles that are farther apart do not meet within Δt. The pairs are read from the list of near pairs, where
+    it reaches so far or is worth making.
     """
     position, radius = step.bodies.position, step.bodies.radius
     if refresh_list(position, radius, cells, gap):

@@ -46,8 +46,8 @@ class World:
 
     box: (x_min, y_min, x_max, y_max), m. gravity: (g_x, g_y), m/s². friction: Coulomb's μ. restitution: Newton's e,
     felt above (1 − e²) times the scales' threshold (`physics.impacts`). scales: `ContactScales` that hold whatever the
-    scene; by default None, they follow it (`State.scales`), and a circle more or less changes them by what it changes
-    the mean radius.
+    scene. Without them, by default, scales follow the scene (`State.scales`): one circle more or less changes them as
+    it changes the mean radius.
 
     segments: any number of ((x, y), (x, y)), m: lines beside the box, felt from both sides and at their ends,
     with the skin of the walls (edge shapes of Box2D). An end that lies on another one or on a wall, to 1e-4 of the
