@@ -143,8 +143,8 @@ def cells_outside() -> int:
 def costs_outside() -> list[float]:
     """The median of cost over the predicted cost, and its least and most divided by this median.
 
-    Of scenes without segments, with walls that drag, with still walls, and with pistons. The check ran on a slower day
-    than the study, so that the median says how much slower.
+    Of scenes without segments, with walls that drag, with still walls, and with pistons. The check ran on another day
+    than the study, so that the median says how fast the machine was.
     """
     places = {"drum": "drag", "belt": "drag", "hopper": "still", "terrain": "still", "piston": "piston"}
     found = {"": [], "drag": [], "still": [], "piston": []}
@@ -485,8 +485,8 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "friction, heights, densities, time steps and restitutions, a silo, a low dam, a thinner gas, other drums, "
             'terrains and hoppers, a belt, a faster pushing wall. All tolerances were kept in {} cells by "preview", {} by "fast", {} by "balanced", {} by '
             '"accurate" and {} by "reference"; if a miss counts only beyond the interval of the seeds, in {}, {}, {}, {} '
-            "and {}. The median cost was {:.2f} times the predicted one, since the machine was slower than on the day of the "
-            "study. Divided by this median, the costs were {:.2f} to {:.2f} times the predicted ones where scenes have no "
+            "and {}. Costs were measured on another day than the study's, which the predictions come from. Their median was "
+            "{:.2f} times the predicted one. Divided by this median, the costs were {:.2f} to {:.2f} times the predicted ones where scenes have no "
             "segments, {:.2f} to {:.2f} times in drums and on a belt, {:.2f} to {:.2f} times in hoppers and on terrain, "
             "and {:.2f} to {:.2f} times where a wall pushes",
             lambda: [cells_outside(), *verified(), *verified("within"), *costs_outside()],
