@@ -58,7 +58,7 @@ GRID = np.dtype(
         ("first_cell", np.int64),
     ]
 )
-"""The cells of one level of size."""
+"""Where the cells of one level of size lie, and how large its circles are."""
 
 LIST_MEMORY = np.dtype(
     [
@@ -239,7 +239,7 @@ def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
             x_min, x_max = min(x_min, position[i, 0]), max(x_max, position[i, 0])
             y_min, y_max = min(y_min, position[i, 1]), max(y_max, position[i, 1])
     if inside == 0:
-        grid["columns"] = 0
+        grid["columns"] = 0  # no cells: those of an earlier search are not looked into
         return first_cell, first_circle
     high, wide = y_max - y_min, x_max - x_min
     width = max(2.0 * widest + gap, math.sqrt(wide * high / (4.0 * inside + 16.0)))

@@ -98,6 +98,19 @@ def test_one_large_circle_crowds_no_cells():
     np.testing.assert_array_equal(np.flatnonzero(cells.level == 0), [1000])
 
 
+def test_a_level_of_size_that_is_empty_now_has_no_cells_of_an_earlier_search():
+    # In the second search the middle level is empty, between one large circle and many small ones.
+    position, cells = np.random.default_rng(0).uniform(1, 9, (2000, 2)), make_cells(2000)
+    radius = np.full(2000, 0.01)
+    radius[:3], radius[3:300] = 1.0, 0.1
+    search(position, radius, (0, 0, 10, 10), cells)
+    assert set(cells.level) == {0, 1, 2}
+    radius[3:300] = 0.01
+    found, fresh = (search(position, radius, (0, 0, 10, 10), of) for of in (cells, make_cells(2000)))
+    assert set(cells.level) == {0, 2}
+    assert pairs_of(found) == pairs_of(fresh)
+
+
 def test_far_outlier_does_not_cost_a_cell_a_metre():
     state = circles_at([[0.0, 0.0], [1.5, 0.0], [1e9, 1e9]], box=(-10, -10, 2e9, 2e9))
     assert pairs_of(contacts_of(state)) == [(0, 1)]

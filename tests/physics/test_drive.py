@@ -374,3 +374,12 @@ def test_a_film_of_states_with_other_numbers_of_circles(tmp_path):
     with pytest.raises(ValueError, match=r"the 1 circles of the first state, as a trajectory has them \(dc.film"):
         dc.Trajectory.from_states([dc.find_contacts(state) for state in states])
     assert dc.film(states, tmp_path / "two.gif", size=64).stat().st_size > 100
+
+
+def test_a_single_solve_knows_that_a_wall_moves():
+    """Without restitution the ball at rest gets the velocity of the wall that meets it."""
+    wall = {"segments": [((2, 0), (2, 4))], "segment_velocities": [((2, 0), (2, 0))]}
+    state = dc.find_contacts(circles_at([[3.0, 2.0]], box=(0, 0, 10, 4), gravity=(0, 0), **wall))
+    np.testing.assert_allclose(dc.solve_contacts(state, solver=dc.PGS()).velocities, [[2.0, 0.0]], atol=1e-12)
+    later = dc.step(state, solver=dc.PGS(), warm_start="support")  # a start from Python: its rows are built ahead
+    np.testing.assert_allclose(later.bodies.velocity, [[2.0, 0.0]], atol=1e-12)
