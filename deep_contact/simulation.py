@@ -31,7 +31,17 @@ from deep_contact.physics.ready import find_contacts, ready
 from deep_contact.physics.sleeping import wake_pushed
 from deep_contact.physics.solvers import PGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
-from deep_contact.physics.step import DONE, FINITE, LAST_SWEEPS, WORK, StepLog, make_log, of_whole_step, some_steps
+from deep_contact.physics.step import (
+    DONE,
+    FINITE,
+    LAST_SWEEPS,
+    PASSED,
+    WORK,
+    StepLog,
+    make_log,
+    of_whole_step,
+    some_steps,
+)
 from deep_contact.presets import Accuracy, Decision, MeasuredAccuracy, PresetWarning, decide
 from deep_contact.state import State, StateWithContacts, World, changed, frozen, notebook, read_only
 from deep_contact.state.arrays import LIMITS, Bodies, Contacts
@@ -74,6 +84,8 @@ class Simulation(NamedTuple):
     | solved      | what `on_step` sees of the steps that led to a recorded state, a `Trajectory`, or None    |
     | on_circles  | what contacts gave to the circles until each recorded state, (T, n, 2), N·s; where a      |
     |             | segment moves, a circle is fixed, or something pushes; None elsewhere                     |
+    | shifts      | what gravity gave to the circles beside m g t until each, (T, n, 2), N·s; where e > 0,    |
+    |             | motion divides the step and `on_circles` is None; None elsewhere                          |
 
     With substeps, contacts and θ are those of a step's last substep, sweeps and relaxations sums over all of them.
     """
@@ -88,6 +100,7 @@ class Simulation(NamedTuple):
     loads: np.ndarray | None = None
     solved: Trajectory | None = None
     on_circles: np.ndarray | None = None
+    shifts: np.ndarray | None = None
 
     @property
     def trajectory(self) -> Trajectory:
@@ -102,8 +115,7 @@ class Simulation(NamedTuple):
         Force k is the mean from times[k] to times[k + 1] of the trajectory, over all steps and substeps, rebounds
         included. part: "floor", "right", "ceiling", "left", "segment", "circle", or "wall": the four sides, numbered in
         this order. index: of the segment, the circle or the wall; of several, whose forces are added up; None for a
-        side that `part` names. The force on a circle is what changed its momentum, but for gravity and pushes. Where
-        e > 0 and motion divides the step, the momentum of a circle that lands can be off by m g Δt / 2.
+        side that `part` names. The force on a circle is what changed its momentum, but for gravity and pushes.
         Raises ValueError where no states were recorded, without forces=True for walls and segments, and for a part or
         an index that there is not.
         """
@@ -119,6 +131,8 @@ class Simulation(NamedTuple):
         if part == "circle":
             mass = self.state.bodies.mass[chosen]
             change = np.einsum("tik,i->tk", np.diff(recorded.velocities[:, chosen], axis=0), mass)
+            if self.shifts is not None:
+                change -= np.diff(self.shifts[:, chosen].sum(axis=1), axis=0)
             return change / seconds - mass.sum() * np.array(world.gravity)
         if self.loads is None:
             raise ValueError("forces: expected a run of simulate(…, record=…, forces=True), got one without")
@@ -170,6 +184,7 @@ class Simulator:
     """
 
     _has_warned = False  # of segments that jump
+    _has_warned_of_passing = False
 
     def __init__(
         self,
@@ -397,9 +412,12 @@ class Simulator:
         if self._may_lose_tangents:
             friction = step_input(replace(scene, contacts=contacts), scene.solver, self._scales).friction
             inputs = inputs if friction == inputs.friction else inputs._replace(friction=friction)
+        shifts = log.shifts
         if is_watched:
             bodies = Bodies(*map(frozen, scene.bodies[:4]), *self._never_change)
             world, push = self._world(), self._push
+            if scene.world.restitution > 0.0:
+                log = log._replace(shifts=np.zeros((scene.bodies.count, 2)))
         begun = time.perf_counter()
         following, received = self._steps(inputs, contacts, log, problem)
         if len(log.contacts) > 1:  # how a run is divided changes no bit of it
@@ -409,6 +427,12 @@ class Simulator:
         step, dt, origin = before.step + done, scene.dt, self._origin
         if not log.progress[FINITE]:
             _raise_diverged(scene.bodies, step)
+        if log.progress[PASSED] and not self._has_warned_of_passing:
+            self._has_warned_of_passing = True
+            warn(
+                f"up to step {step}: a moving segment passes over circle {log.progress[PASSED] - 1}, which what rests "
+                "holds in its way; more warnings of this kind are left out"
+            )
         # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
         is_even = origin.time == origin.step * dt
         now = step * dt if is_even else origin.time + (step - origin.step) * dt
@@ -418,7 +442,10 @@ class Simulator:
             solved = Contacts(*map(frozen, contacts if is_one_solve else of_whole_step(contacts, received)))
             fields = {"world": world, "bodies": bodies, "contacts": solved, "push": push, "solved": True}
             seen = changed(scene, **fields, step=before.step, time=before.time)
-            self._seen = seen, convergence_record(theta, scene.solver, int(log.contacts[0]))
+            of_step = frozen(log.shifts) if len(log.shifts) else None
+            self._seen = seen, convergence_record(theta, scene.solver, int(log.contacts[0]), of_step)
+            if len(shifts) and shifts is not log.shifts:
+                shifts += log.shifts
         self._now = _Now(following, step, now, False)
         return done
 
@@ -547,8 +574,8 @@ def simulate(
     on_step: called after each step with the solved state and the `ConvergenceRecord` of its sweeps; of a divided step
     the record is that of the last substep. The state has the bodies before the step, and the contacts of the step.
     `normal_start` and `tangent_start` are what the contacts started from, `normal_impulse` and `tangent_impulse` all
-    that they gave in the step, in its substeps and rebounds. So the changes of momentum are the sums of these impulses
-    and those of gravity and pushes. Contacts that came during the step are among them, where they came, and started
+    that they gave in the step, in its substeps and rebounds. So the changes of momentum are the sums of these impulses,
+    those of gravity and pushes, and where e > 0 the record's `shifts`. Contacts that came during the step are among them, where they came, and started
     from 0. To go on from such a state, with the same push, repeats the step.
     Arrays that `until` and `on_step` get cannot be written into: `Simulator` changes what goes on.
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
@@ -598,9 +625,11 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
         how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep}
         run = Simulator(state, **how, push=options.push)
     is_driven, every, done = record is not None and run._inputs.drive is not None, record or steps + 1, 0
-    log = make_log(steps, 4 + len(state.world.segments) if forces else 0, state.bodies.count if is_driven else 0)
+    n, is_shifted = state.bodies.count, record is not None and not is_driven and state.world.restitution > 0.0
+    loads_of = 4 + len(state.world.segments) if forces else 0
+    log = make_log(steps, loads_of, n if is_driven else 0, n if is_shifted else 0)
     frames, loads = [] if record is None else [run.state], [log.loads.copy()]
-    on_circles, work = [log.on_circles.copy()], [0.0]
+    on_circles, shifts, work = [log.on_circles.copy()], [log.shifts.copy()], [0.0]
     solved, is_over = [], False
     while done < steps and not is_over:
         if stopped is not None and stopped.is_set():
@@ -619,12 +648,14 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
             frames.append(run.state)
             loads.append(log.loads.copy())
             on_circles.append(log.on_circles.copy())
+            shifts.append(log.shifts.copy())
             work.append(float(log.work[0]))
             solved += run._seen[:1]
     recorded = Trajectory.from_states(frames, work=work if is_driven else None) if frames else None
     of_steps = Trajectory.from_states(solved) if solved else None
     columns = (column[:done] for column in log[:5])
     sums = np.array(loads) if forces else None, of_steps, np.array(on_circles) if is_driven else None
+    sums += (np.array(shifts) if is_shifted else None,)
     last = _last_run.keep(run, options.how) if done else run._state(np.asarray)
     return Simulation(last, *columns, recorded, *sums)
 

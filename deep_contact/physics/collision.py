@@ -591,21 +591,26 @@ def hold_inside(bodies, walls, solved):
 
 @njit(cache=True)
 def hold(bodies, before, walls, segments, solved, drive, dt):
-    """`hold_inside` and `hold_beside`, where they are needed.
+    """`hold_inside` and `hold_beside`, where they are needed. Returns a circle that a moving segment passes, or −1.
 
     before: where the bodies were, (n, 2), m; read only where there are segments (`positions_before`). solved: the
     contacts there. drive: of a step of dt, s, in which segments moved.
     """
+    passed = np.int64(-1)
     if any_outside(bodies.position, walls.box):
         hold_inside(bodies, walls, solved)
     if segments is not None:
         if segments.line.shape[0] > 0 and may_cross(bodies, before, solved):
             hold_beside(bodies, before, segments, drive)
     if drive is not None:
-        hold_beside_moving(bodies, before, segments, drive, dt)
-        # What moves on into a wall of the box has no room left: it passes over the circle, which stays in the box.
+        # What rests comes last: it wins over what moves. Half of a way inside of the box ends inside of it.
+        changed, passed = hold_beside_moving(bodies, before, segments, solved, drive, dt)
         if any_outside(bodies.position, walls.box):
             hold_inside(bodies, walls, solved)
+            changed = True
+        if changed:
+            hold_beside(bodies, before, segments, drive)
+    return passed
 
 
 @njit(cache=True)

@@ -24,7 +24,7 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.constants import MAX_ROTATION
-from deep_contact.physics.continuous import FAST, moved, stop_fast
+from deep_contact.physics.continuous import any_fast, collide_fast, moved
 from deep_contact.physics.segments import has_moving, moves, surface_velocity, wall_velocity
 from deep_contact.state.scales import FASTEST
 
@@ -279,12 +279,13 @@ def store_impulses(rows, contacts, parts):
 
 
 @njit(cache=True, error_model="numpy")
-def integrate_positions(bodies, solver_bodies, step, segments, drive):
+def integrate_positions(bodies, solver_bodies, step, segments, drive, shifts):
     """Give the bodies, in place, the solved velocities, and move them by those for Δt (symplectic Euler).
 
-    A displacement is cut to the largest translation, m, and a rotation with it (`cut_motion`). Fast circles stop where
-    they touch something (`continuous`). step: `StepInput`. segments: where they are at the end of it. drive: its own.
-    Returns whether the bodies have moved: not where these are None and a circle is fast, whose stop is not compiled.
+    A displacement is cut to the largest translation, m, and a rotation with it (`cut_motion`). Fast circles push on
+    what they meet (`continuous`). step: `StepInput`. segments: where they are at the end of it. drive: its own. shifts:
+    of `StepLog`.
+    Returns whether the bodies have moved: not where segments are None and a circle is fast, for which there is no code.
     """
     if segments is None:
         if any_fast(solver_bodies, bodies.radius, step.dt):
@@ -293,23 +294,13 @@ def integrate_positions(bodies, solver_bodies, step, segments, drive):
     else:
         if move(bodies, solver_bodies, step.dt, step.scales.max_translation) or has_moving(drive):
             start = moved(bodies.position, bodies.velocity, -step.dt)
-            stop_fast(step, start, segments, drive)
+            collide_fast(step, start, segments, drive, shifts)
     return True
 
 
 @njit(cache=True, error_model="numpy")
-def any_fast(solver_bodies, radius, dt):
-    """Whether a circle is fast (`continuous`) with these velocities."""
-    fast, share = False, FAST / dt
-    for i in range(radius.shape[0]):
-        v_x, v_y = solver_bodies[i, V_X], solver_bodies[i, V_Y]
-        fast |= v_x * v_x + v_y * v_y > (share * radius[i]) * (share * radius[i])
-    return fast
-
-
-@njit(cache=True, error_model="numpy")
 def move(bodies, solver_bodies, dt, max_translation):
-    """`integrate_positions` without what stops fast circles. Returns whether there is one."""
+    """`integrate_positions` without what fast circles meet. Returns whether there is one."""
     position, velocity, angle, spin = bodies.position, bodies.velocity, bodies.angle, bodies.spin
     farthest = widest = 0.0
     # Loops without branches, so that several circles are moved at a time.

@@ -1,16 +1,24 @@
-"""Continuous collision: what moves far in one step stops at the first thing in its way.
+"""Continuous collision: what moves far in one step pushes on what it meets, in the order of time.
 
-A contact is found where circles touch at the end of a step. One that moves by more than its radius can pass through
-another, or leave the box, between two ends. So what moves further than `FAST` radii in a step moves along a straight
-line until it touches, both circles stay there for the rest of the step, and the next step finds their contact. Touching
-is half a slop of overlap; a pair that is deeper already may halve its distance but never pass. Stops are made in the
-order of time, so that a circle also meets those that have stopped before it.
+A contact is found where circles touch at the end of a step. A circle that moves by more than its radius can pass
+through another, or leave the box, between two ends. So paths of circles that are fast are followed through the step.
+Each is made of straight pieces, each with its own rate, in metres a step, at first Δt v. A *touch* is half a slop of
+overlap, or the distance at the begin of the step where that is smaller. With n the unit normal from a to b, and
+a = (u_a − u_b) · n the rate at which a pair comes nearer,
 
-Circles slower than that are left alone. (Box2D 2.3 does this for walls and bullets, `b2World::SolveTOI`, and solves the
-velocities there and then.)
+    u_a ← u_a − s n / m_a,  u_b ← u_b + s n / m_b,  s = a / (1 / m_a + 1 / m_b):
 
-What moves from outside, a segment or a fixed circle, is stopped by nothing. What it meets within the step goes on with
-it from there (`step.Drive`).
+both go on with their common rate along n, and each keeps its own along the tangent, as if their impact were plastic.
+Velocities stay as they were solved: the next step finds the contact, and solves it. So the centre of mass goes on as it
+would have, and all that counts are relative motions: what happens is the same in every frame that moves evenly.
+
+A wall, a segment and a fixed circle have an infinite mass. What has met one is held: it counts as infinite itself, and
+is *firm* if that rests. Of two circles held in different ways only the less firm one changes its path. Where something
+moves on into a circle that is firm, it passes over it.
+
+No approach that rounding could make is a touch: see `PAIRS`, `HELD`. Touches of one time are made together, and share
+the masses of their circles among them, so that no order is preferred. (Box2D 2.3 stops circles at walls and bullets,
+`b2World::SolveTOI`, which loses the rest of their step.)
 """
 
 from __future__ import annotations
@@ -22,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.compiled import njit
-from deep_contact.physics.collision import make_cells, sort_level, wall_gap
+from deep_contact.physics.collision import make_cells, smallest_of, sort_level, wall_gap
 from deep_contact.physics.segments import (
     BESIDE,
     ON,
@@ -38,111 +46,181 @@ from deep_contact.physics.segments import (
 from deep_contact.state.arrays import WALL_NORMALS
 
 FAST = 0.5
-"""A circle is fast if it moves further than so many of its radii in a step."""
+"""A circle is fast if it moves farther in a step than this share of its radius, relative to a wall."""
 
-CLOSER = 0.5
-"""Share of the distance of a deep pair, or from a wall, that one step leaves at least."""
+PAIRS = 0.5
+"""A pair of circles touches only where it approaches by more than this share of the smaller radius in a step."""
 
-NOTHING = -1
-"""Partner of a circle that meets nothing."""
+HELD = 0.01
+"""The same share where one of them is held, and for walls and segments."""
+
+FREE, CARRIED, FIRM = range(3)
+"""How a circle is held: not; by something that moves; by something that rests."""
+
+TOGETHER = 1e-9
+"""Touches count as simultaneous if they are no farther apart than this, in steps."""
+
+MOST_TOUCHES = 200
+"""Most touches of a circle in a step. What approaches after them is left to the contacts of the next step."""
 
 
-MOST_LOOKS = 1000
-"""Times that the first touch is looked for, for each circle, in a step."""
+class Paths(NamedTuple):
+    """The last pieces of the paths of n circles, and what they may meet. Times are in steps.
 
+    | field    | meaning                                                  | shape  | unit |
+    |----------|----------------------------------------------------------|--------|------|
+    | start    | places at the begin of the step                          | (n, 2) | m    |
+    | place    | where the piece begins                                   | (n, 2) | m    |
+    | since    | when it begins                                           | (n,)   | –    |
+    | rate     | way in a whole step                                      | (n, 2) | m    |
+    | inverse  | inverse mass                                             | (n,)   | 1/kg |
+    | held     | `FREE`, `CARRIED` or `FIRM`                              | (n,)   | –    |
+    | touches  | how often the path has changed                           | (n,)   | –    |
+    | pushed   | whether another circle has changed it                    | (n,)   | –    |
+    | radius   |                                                          | (n,)   | m    |
 
-@njit(cache=True, error_model="numpy")
-def stop_fast(step, start, segments, drive):
-    """Take back, in place, what circles have moved beyond the first touch of a fast one, and the energy of its fall.
-
-    step: `StepInput`, whose bodies have moved for Δt. start: (n, 2), where they were, m. segments: after their moves.
+    box, segments, scales: of the step; the segments are where they are at its end.
     """
-    bodies, dt, n = step.bodies, step.dt, step.bodies.mass.shape[0]
-    move = moved(bodies.position, start, -1.0)
-    if not math.isfinite(start.sum() + move.sum()):
-        return  # the caller of the run says so
-    fast = np.empty(n, np.bool_)
-    for i in range(n):
-        fast[i] = move[i, 0] * move[i, 0] + move[i, 1] * move[i, 1] > (FAST * bodies.radius[i]) ** 2
-    stop, when, along = np.ones(n), np.full(n, np.inf), np.zeros((n, 2))
-    path = (start, move, stop, bodies.radius, step.box, segments, step.scales)
-    if drive is not None:
-        meet_moving_walls(fast, path, drive, dt)
-        if not fast.any():
-            return
-    swept = _sort_swept(start, move, bodies.radius)
-    if drive is not None:
-        meet_fixed(fast, path, swept, bodies.mass)
-    queue = [(np.inf, NOTHING)]  # of (time, circle); one whose time has changed since is passed over
-    for i in range(n):
-        if fast[i]:
-            when[i], _ = _first_touch(i, 0.0, path, swept, drive, dt)
-            heappush(queue, (when[i], i))
-    looks = 0
-    while queue[0][0] <= 1.0:
-        expected, i = heappop(queue)
-        if when[i] != expected:
-            continue
-        looks += 1
-        # Others may have stopped since this was found: it is looked for again, and later if it is not the same.
-        time, other = _first_touch(i, when[i], path, swept, drive, dt)
-        # Where rounding finds it later without end, it is now.
-        if time > when[i] + 1e-12 and (time > 1.0 or looks < MOST_LOOKS * n):
-            when[i] = time
-            heappush(queue, (time, i))
-            continue
-        if drive is not None:
-            go_along(i, other, path, bodies.mass, drive, dt, along)
-        for k in (i, other):
-            if 0 <= k < n and stop[k] == 1.0 and bodies.mass[k] < np.inf:
-                stop[k], when[k] = time, np.inf
-                _tell_neighbours(k, time, path, swept, fast, when, queue)
-    for i in range(n):
-        if stop[i] < 1.0:
-            for axis in range(2):
-                bodies.position[i, axis] = start[i, axis] + stop[i] * move[i, axis] + (1.0 - stop[i]) * along[i, axis]
-            take_back_fall(bodies.velocity[i], (1.0 - stop[i]) * dt, step.gravity)
+
+    start: np.ndarray
+    place: np.ndarray
+    since: np.ndarray
+    rate: np.ndarray
+    inverse: np.ndarray
+    held: np.ndarray
+    touches: np.ndarray
+    pushed: np.ndarray
+    radius: np.ndarray
+    box: tuple
+    segments: tuple
+    scales: tuple
 
 
 @njit(cache=True, error_model="numpy")
-def meet_moving_walls(fast, path, drive, dt):
-    """Let circles be fast as well, in place, whose way is long relative to a moving segment near it."""
-    start, move, _, radius, _, segments, scales = path
-    line = segments.line
+def any_fast(solver_bodies, radius, dt):
+    """Whether a circle is fast with these velocities, relative to what rests or to the others."""
+    n, far = radius.shape[0], False
+    least = 0.5 * PAIRS * smallest_of(radius) / dt
+    for i in range(n):
+        v_x, v_y = solver_bodies[i, 0], solver_bodies[i, 1]
+        far |= v_x * v_x + v_y * v_y > least * least
+    if not far:
+        return False  # then no two approach by more than twice of it
+    for i in range(n):
+        v_x, v_y = solver_bodies[i, 0], solver_bodies[i, 1]
+        if v_x * v_x + v_y * v_y > (FAST * radius[i] / dt) ** 2:
+            return True
+    return any_apart(solver_bodies, radius, dt)
+
+
+@njit(cache=True, error_model="numpy")
+def any_apart(velocity, radius, dt):
+    """Whether velocities, (n, 2 or more), differ so much from their middle that two circles can touch (`PAIRS`)."""
+    x, y = middle_of(velocity, radius.shape[0])
+    apart = False
+    for i in range(radius.shape[0]):
+        apart |= (velocity[i, 0] - x) ** 2 + (velocity[i, 1] - y) ** 2 > (0.5 * PAIRS * radius[i] / dt) ** 2
+    return apart
+
+
+@njit(cache=True, fastmath={"nnan", "nsz"})
+def middle_of(values, n):
+    """The middle of the least box around the first n points, (n, 2 or more)."""
+    x_min = x_max = values[0, 0]
+    y_min = y_max = values[0, 1]
+    for i in range(n):
+        x, y = values[i, 0], values[i, 1]
+        x_min, x_max, y_min, y_max = min(x_min, x), max(x_max, x), min(y_min, y), max(y_max, y)
+    return 0.5 * (x_min + x_max), 0.5 * (y_min + y_max)
+
+
+@njit(cache=True, error_model="numpy")
+def collide_fast(step, start, segments, drive, shifts):
+    """Let fast circles push on what they meet within a step: positions change in place, and where e > 0 velocities.
+
+    step: `StepInput`, whose bodies have moved by Δt v. start: (n, 2), where they were, m. segments: after their moves.
+    drive: of the step. shifts: of `StepLog`.
+    """
+    bodies, n = step.bodies, step.bodies.mass.shape[0]
+    rate = moved(bodies.position, start, -1.0)
+    if not math.isfinite(start.sum() + rate.sum()):
+        return  # the caller of the run says so
+    paths = Paths(
+        start, start.copy(), np.zeros(n), rate, 1.0 / bodies.mass, np.zeros(n, np.int64), np.zeros(n, np.int64),
+        np.zeros(n, np.bool_), bodies.radius, step.box, segments, step.scales,
+    )  # fmt: skip
+    searches = np.zeros((n, 2), np.bool_)  # whether a circle looks for walls and segments, and for circles
+    choose_fast(paths, searches, drive, step.dt)
+    if not searches.any():
+        return
+    swept = sort_swept(paths)
+    queue = [(np.inf, -1, -1, -1, -1)]
+    for i in range(n):
+        if searches[i, 0] or searches[i, 1]:
+            find_touch(i, 0.0, searches, paths, swept, queue, drive, step.dt)
+    first, second, changed = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    while queue[0][0] <= 1.0:
+        time, count = queue[0][0], 0
+        while queue[0][0] <= time + TOGETHER:
+            _, i, k, touches_i, touches_k = heappop(queue)
+            if paths.touches[i] != touches_i:
+                continue  # it has been looked for again since
+            if k < n and paths.touches[k] != touches_k:
+                find_touch(i, time, searches, paths, swept, queue, drive, step.dt)
+                continue
+            first[count], second[count] = i, k
+            count += 1
+        count = push(first[:count], second[:count], time, step, paths, changed, drive, shifts)
+        for i in changed[:count]:
+            searches[i] = True
+            follow(i, paths, swept)
+        for i in changed[:count]:
+            find_touch(i, time, searches, paths, swept, queue, drive, step.dt)
+    for i in range(n):
+        if paths.touches[i] > 0:
+            for axis in range(2):
+                bodies.position[i, axis] = paths.place[i, axis] + (1.0 - paths.since[i]) * rate[i, axis]
+
+
+@njit(cache=True, error_model="numpy")
+def choose_fast(paths, searches, drive, dt):
+    """Note in place, (n, 2), which circles look for walls and segments, and which for circles: all that are fast.
+
+    A circle is fast as walls, moving segments near it, and the mean of all circles see it.
+    """
+    rate, radius, n = paths.rate, paths.radius, paths.radius.shape[0]
+    mean_x = mean_y = 0.0
+    for i in range(n):
+        mean_x, mean_y = mean_x + rate[i, 0] / n, mean_y + rate[i, 1] / n
+        if paths.inverse[i] > 0.0:
+            searches[i, 0] = rate[i, 0] ** 2 + rate[i, 1] ** 2 > (FAST * radius[i]) ** 2
+        else:
+            paths.held[i] = CARRIED if rate[i, 0] != 0.0 or rate[i, 1] != 0.0 else FIRM
+    if any_apart(rate, radius, 1.0):
+        for i in range(n):
+            apart = (rate[i, 0] - mean_x) ** 2 + (rate[i, 1] - mean_y) ** 2
+            searches[i, 1] = apart > (0.5 * PAIRS * radius[i]) ** 2
+    if drive is not None:
+        choose_near_moving(paths, searches, drive, dt)
+
+
+@njit(cache=True, error_model="numpy")
+def choose_near_moving(paths, searches, drive, dt):
+    """Let circles look for walls as well, in place, whose way is long relative to a moving segment near it."""
+    start, rate, radius, line = paths.start, paths.rate, paths.radius, paths.segments.line
     for s in drive.moving:
         for i in range(radius.shape[0]):
-            to_x, to_y = start[i, 0] + move[i, 0], start[i, 1] + move[i, 1]
+            to_x, to_y = start[i, 0] + rate[i, 0], start[i, 1] + rate[i, 1]
             x, y = carried(line, drive.wall, s, dt, start[i, 0], start[i, 1])
-            reach = radius[i] + scales.wall_skin
+            reach = radius[i] + paths.scales.wall_skin
             if (
                 max(x, to_x) + reach >= min(line[s, 0], line[s, 2])
                 and min(x, to_x) - reach <= max(line[s, 0], line[s, 2])
                 and max(y, to_y) + reach >= min(line[s, 1], line[s, 3])
                 and min(y, to_y) - reach <= max(line[s, 1], line[s, 3])
+                and paths.inverse[i] > 0.0
             ):
-                fast[i] |= (to_x - x) ** 2 + (to_y - y) ** 2 > (FAST * radius[i]) ** 2
-
-
-@njit(cache=True)
-def meet_fixed(fast, path, swept, mass):
-    """Let the circles that a fast fixed circle may meet be fast, in place. No fixed circle is fast then."""
-    for k in range(mass.shape[0]):
-        if mass[k] == np.inf and fast[k]:
-            for i in _crossing(k, path, swept):
-                fast[i] = True
-    for k in range(mass.shape[0]):
-        fast[k] &= mass[k] < np.inf
-
-
-@njit(cache=True)
-def go_along(i, other, path, mass, drive, dt, along):
-    """If circle i meets a moving segment or a fixed circle, write how far that carries it in a whole step, m."""
-    start, move, segments, n = path[0], path[1], path[5], mass.shape[0]
-    if other >= n + 4 and moves(drive.wall, other - n - 4):
-        x, y = carried(segments.line, drive.wall, other - n - 4, dt, start[i, 0], start[i, 1])
-        along[i, 0], along[i, 1] = x - start[i, 0], y - start[i, 1]
-    elif 0 <= other < n and mass[other] == np.inf:
-        along[i, 0], along[i, 1] = move[other, 0], move[other, 1]
+                searches[i, 0] |= (to_x - x) ** 2 + (to_y - y) ** 2 > (FAST * radius[i]) ** 2
 
 
 @njit(cache=True)
@@ -155,17 +233,23 @@ def moved(points, by, share):
     return result
 
 
+@njit(inline="always")
+def place_at(paths, i, time):
+    """(x, y) of circle i at a time of its piece, m."""
+    flown = time - paths.since[i]
+    return paths.place[i, 0] + flown * paths.rate[i, 0], paths.place[i, 1] + flown * paths.rate[i, 1]
+
+
 class Swept(NamedTuple):
-    """The broad phase: boxes around the paths of circles in a step, sorted into cells by their middles."""
+    """The broad phase: boxes around the pieces of paths, sorted into cells by the middles that they had at first."""
 
     start: np.ndarray  # of `Cells`
     order: np.ndarray  # of `Cells`
-    cell: np.ndarray  # of `Cells`
+    rank: np.ndarray  # (n,): of each circle, where it stands in `order`
+    middle: np.ndarray  # (n, 2): of each circle, m
     box: np.ndarray  # (n, 4): x_min, x_max, y_min, y_max of each circle, m, in the order of `order`
-    columns: int
-    rows: int
-    aside: int  # columns that boxes which cross may be apart
-    above: int  # rows that they may be apart
+    farthest: np.ndarray  # (2,): how far a box reaches from the middle of its circle, at most, m
+    grid: np.ndarray  # of `Cells`
     found: np.ndarray  # (n,): a buffer
 
 
@@ -173,43 +257,51 @@ _make_cells = njit(cache=True)(make_cells)
 
 
 @njit(cache=True, error_model="numpy")
-def _sort_swept(start, move, radius):
-    """`Swept` of circles that start at (n, 2) and move by (n, 2), m."""
-    n = radius.shape[0]
-    cells = _make_cells(n)
-    middle = moved(start, move, 0.5)
+def sort_swept(paths):
+    """`Swept` of paths that begin."""
+    n = paths.radius.shape[0]
+    cells, rank = _make_cells(n), np.empty(n, np.int64)
+    middle = moved(paths.start, paths.rate, 0.5)
     cells.level[:] = 0
-    sort_level(np.int64(0), middle, radius, 0.0, np.int64(0), np.int64(0), cells)
-    columns, rows = cells.grid[0]["columns"], cells.grid[0]["rows"]
-    box, longest, largest = np.empty((n, 4)), np.zeros(2), 0.0
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)  # of the middles
+    sort_level(np.int64(0), middle, paths.radius, 0.0, np.int64(0), np.int64(0), cells)
     for k in range(n):
-        i = cells.order[k]
-        for axis in range(2):
-            x, to_x = start[i, axis], start[i, axis] + move[i, axis]
-            box[k, 2 * axis], box[k, 2 * axis + 1] = min(x, to_x) - radius[i], max(x, to_x) + radius[i]
-            longest[axis] = max(longest[axis], box[k, 2 * axis + 1] - box[k, 2 * axis])
-            low[axis], high[axis] = min(low[axis], middle[i, axis]), max(high[axis], middle[i, axis])
-        largest = max(largest, radius[i])
-    width = max(2.0 * largest, (high[0] - low[0]) / columns, (high[1] - low[1]) / rows)  # of a cell, at least
-    aside, above = int(min(longest[0] / width, columns)) + 1, int(min(longest[1] / width, rows)) + 1
-    return Swept(cells.start, cells.order, cells.cell, box, columns, rows, aside, above, np.empty(n, np.int64))
+        rank[cells.order[k]] = k
+    swept = Swept(
+        cells.start, cells.order, rank, middle, np.empty((n, 4)), np.zeros(2), cells.grid, np.empty(n, np.int64)
+    )
+    for i in range(n):
+        follow(i, paths, swept)
+    return swept
 
 
 @njit(cache=True)
-def _crossing(i, path, swept):
-    """The other circles whose boxes cross that of circle i: no others can touch it in this step."""
-    start, move, radius = path[0], path[1], path[3]
-    row = swept.cell[i] // swept.columns
-    column = swept.cell[i] - row * swept.columns
-    left, right = max(column - swept.aside, 0), min(column + swept.aside, swept.columns - 1)
-    x, y = start[i, 0], start[i, 1]
-    to_x, to_y = x + move[i, 0], y + move[i, 1]
-    x_min, x_max = min(x, to_x) - radius[i], max(x, to_x) + radius[i]
-    y_min, y_max = min(y, to_y) - radius[i], max(y, to_y) + radius[i]
-    box, found, count = swept.box, swept.found, 0
-    for other in range(max(row - swept.above, 0), min(row + swept.above + 1, swept.rows)):
-        for k in range(swept.start[other * swept.columns + left], swept.start[other * swept.columns + right + 1]):
+def follow(i, paths, swept):
+    """Put the box around the last piece of circle i, in place."""
+    radius, k, rest = paths.radius[i], swept.rank[i], 1.0 - paths.since[i]
+    for axis in range(2):
+        x, middle = paths.place[i, axis], swept.middle[i, axis]
+        to_x = x + rest * paths.rate[i, axis]
+        low, high = min(x, to_x) - radius, max(x, to_x) + radius
+        swept.box[k, 2 * axis], swept.box[k, 2 * axis + 1] = low, high
+        swept.farthest[axis] = max(swept.farthest[axis], high - middle, middle - low)
+
+
+@njit(cache=True, error_model="numpy")
+def crossing_paths(i, now, paths, swept):
+    """The other circles whose boxes cross that of circle i from a time on: no others can touch it in this step."""
+    radius, (x, y) = paths.radius[i], place_at(paths, i, now)
+    to_x, to_y = place_at(paths, i, 1.0)
+    x_min, x_max = min(x, to_x) - radius, max(x, to_x) + radius
+    y_min, y_max = min(y, to_y) - radius, max(y, to_y) + radius
+    grid, box, found, count = swept.grid[0], swept.box, swept.found, 0
+    columns, per_metre, (far_x, far_y) = grid["columns"], grid["per_metre"], swept.farthest
+    # Rounding is less than a cell's millionth.
+    left = int(max((x_min - far_x - grid["x"]) * per_metre - 1e-6, 0.0))
+    right = int(min((x_max + far_x - grid["x"]) * per_metre + 1e-6, columns - 1.0))
+    low = int(max((y_min - far_y - grid["y"]) * per_metre - 1e-6, 0.0))
+    high = int(min((y_max + far_y - grid["y"]) * per_metre + 1e-6, grid["rows"] - 1.0))
+    for row in range(low, high + 1):
+        for k in range(swept.start[row * columns + left], swept.start[row * columns + right + 1]):
             found[count] = swept.order[k]  # counted without a branch, which could not be predicted
             crosses = (box[k, 0] <= x_max) & (box[k, 1] >= x_min) & (box[k, 2] <= y_max) & (box[k, 3] >= y_min)
             count += crosses & (found[count] != i)
@@ -217,129 +309,258 @@ def _crossing(i, path, swept):
 
 
 @njit(cache=True, error_model="numpy")
-def take_back_fall(velocity, time, gravity):
-    """Change a velocity, (2,), m/s, in place, of a circle that has stopped this time, s, before the end of its step.
-
-    It has the speed that gravity gives within a whole step, but has not fallen, or risen, all the way. The energy of
-    the way that is missing is taken out of its speed, or put into it.
-    """
-    g = math.hypot(gravity[0], gravity[1])
-    if g == 0.0:
+def find_touch(i, now, searches, paths, swept, queue, drive, dt):
+    """Put the first touch of circle i from a time on into the queue: (time, i, partner, touches of both so far)."""
+    n, first, partner = paths.radius.shape[0], np.inf, -1
+    if paths.touches[i] >= MOST_TOUCHES:
         return
-    d_x, d_y = gravity[0] / g, gravity[1] / g
-    down = velocity[0] * d_x + velocity[1] * d_y
-    change = math.copysign(math.sqrt(max(0.0, down * (down - 2.0 * g * time))), down) - down
-    velocity[0] += change * d_x
-    velocity[1] += change * d_y
+    if searches[i, 0] and paths.inverse[i] > 0.0:
+        first, partner = touch_walls(i, now, paths, drive, dt)
+    if searches[i, 1]:
+        for k in crossing_paths(i, now, paths, swept):
+            time = touch_circle(i, k, now, paths)
+            if time < first:
+                first, partner = time, k
+    if first <= 1.0:
+        heappush(queue, (first, i, partner, paths.touches[i], paths.touches[partner] if partner < n else 0))
 
 
 @njit(cache=True, error_model="numpy")
-def _first_touch(i, now, path, swept, drive, dt):
-    """(time, partner) of the first touch of a circle from a time on; (inf, NOTHING) without one. Time is in steps."""
-    start, move, _, radius, box, segments, scales = path
-    n = radius.shape[0]
-    first, partner = np.inf, NOTHING
-    for wall in range(4):
-        n_x, n_y = WALL_NORMALS[wall, 0], WALL_NORMALS[wall, 1]
-        gap, speed = wall_gap(start[i, 0], start[i, 1], box, wall), move[i, 0] * n_x + move[i, 1] * n_y
-        least = _least(gap, radius[i] + scales.wall_skin, radius[i], scales)
-        # What began outside may come in.
-        if gap > 0.0 and speed > 0.0:
-            time = max(now, (gap - least) / speed)
-            if time < first:
-                first, partner = time, n + wall
-    x, y = start[i, 0], start[i, 1]
-    to_x, to_y = x + move[i, 0], y + move[i, 1]
-    way = min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y)
-    if not is_free(segments.start, segments.grid, *way):
-        for s in near_box(segments, *way, np.empty_like(segments.every)):
-            if drive is not None:
-                if moves(drive.wall, s):
-                    continue
-            time = max(now, _touch_segment(i, s, x, y, path))
-            if time < first:
-                first, partner = time, n + 4 + s
+def touch_walls(i, now, paths, drive, dt):
+    """(time, partner) of the first touch of a circle and a wall or a segment from a time on; (inf, −1) without one."""
+    radius, scales, segments, n = paths.radius[i], paths.scales, paths.segments, paths.radius.shape[0]
+    rate_x, rate_y, (x, y) = paths.rate[i, 0], paths.rate[i, 1], place_at(paths, i, now)
+    first, partner = np.inf, -1
+    if paths.touches[i] > 0 or rate_x * rate_x + rate_y * rate_y > (FAST * radius) ** 2:
+        for wall in range(4):
+            rate = rate_x * WALL_NORMALS[wall, 0] + rate_y * WALL_NORMALS[wall, 1]
+            before = wall_gap(paths.start[i, 0], paths.start[i, 1], paths.box, wall)
+            # What began outside may come in.
+            if rate > HELD * radius and before > 0.0:
+                least = min(before, radius + scales.wall_skin - touching_overlap(radius, scales))
+                time = now + max(0.0, (wall_gap(x, y, paths.box, wall) - least) / rate)
+                if time < first:
+                    first, partner = time, n + wall
+        to_x, to_y = place_at(paths, i, 1.0)
+        way = min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y)
+        if not is_free(segments.start, segments.grid, *way):
+            for s in near_box(segments, *way, np.empty_like(segments.every)):
+                if drive is not None:
+                    if moves(drive.wall, s):
+                        continue
+                time = touch_segment(i, s, now, paths, None, dt)
+                if time < first:
+                    first, partner = time, n + 4 + s
     if drive is not None:
-        for s in drive.moving:
-            from_x, from_y = carried(segments.line, drive.wall, s, dt, x, y)
-            time = max(now, _touch_segment(i, s, from_x, from_y, path))
-            if time < first:
-                first, partner = time, n + 4 + s
-    for k in _crossing(i, path, swept):
-        time = _touch(i, k, now, path)
-        if time < first:
-            first, partner = time, k
-    return (first, partner) if first <= 1.0 else (np.inf, NOTHING)
+        if paths.held[i] != FIRM:
+            for s in drive.moving:
+                time = touch_segment(i, s, now, paths, drive, dt)
+                if time < first:
+                    first, partner = time, n + 4 + s
+    return first, partner
 
 
-@njit(cache=True)
-def _least(distance, reach, radius, scales):
-    """Distance at which circles stop, m: half a slop within reach, so that a contact is found; see `CLOSER`."""
-    touching = reach - min(0.5 * scales.slop, 0.1 * radius)
-    return touching if distance >= touching else CLOSER * distance
+@njit(inline="always")
+def touching_overlap(radius, scales):
+    """How far a circle that touches overlaps, so that a contact is found, m."""
+    return min(0.5 * scales.slop, 0.1 * radius)
 
 
 @njit(cache=True, error_model="numpy")
-def _touch_segment(i, s, x, y, path):
-    """Time of the first touch of a circle, which comes from (x, y), and a segment, in steps; inf without one."""
-    start, move, _, radius, box, segments, scales = path
-    line, reach = segments.line, radius[i] + scales.wall_skin
-    m_x, m_y = start[i, 0] - x + move[i, 0], start[i, 1] - y + move[i, 1]
+def piece_beside(i, s, now, paths, drive, dt):
+    """((x, y), (m_x, m_y)) of the path of circle i from a time on, as segment s sees it, m.
+
+    drive: of the step; None for a segment that rests.
+    """
+    (x, y), (to_x, to_y) = place_at(paths, i, now), place_at(paths, i, 1.0)
+    if drive is not None:
+        x, y = carried(paths.segments.line, drive.wall, s, (1.0 - now) * dt, x, y)
+    return (x, y), (to_x - x, to_y - y)
+
+
+@njit(cache=True, error_model="numpy")
+def touch_segment(i, s, now, paths, drive, dt):
+    """Time of the first touch of a circle and a segment from a time on, in steps; inf without one.
+
+    drive: of the step; None for a segment that rests.
+    """
+    line, radius, rest = paths.segments.line, paths.radius[i], 1.0 - now
+    reach, (start_x, start_y) = radius + paths.scales.wall_skin, (paths.start[i, 0], paths.start[i, 1])
+    (x, y), (m_x, m_y) = piece_beside(i, s, now, paths, drive, dt)
     e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
     before = e_x * (y - line[s, 1]) - e_y * (x - line[s, 0])
     after = before + e_x * m_y - e_y * m_x
     if before * after > 0.0 and min(before * before, after * after) > reach * reach * (e_x * e_x + e_y * e_y):
         return np.inf  # the whole path is on one side of the line, and beyond reach of it
-    least = _least(segment_gap(line[s], x, y)[0], reach, radius[i], scales)
-    time, part = time_to_touch(line[s], x, y, m_x, m_y, least)
-    if part != BESIDE and time <= 1.0:
-        # An end on a surface is no nearer than that: what slides along one segment does not stop at the next.
-        end, column = 2 * s + part - START, 2 * (part - START)
-        e_x, e_y = line[s, column], line[s, column + 1]
-        for k in segments.hiding[segments.first[end] : segments.first[end + 1]]:
-            if hides(line[k], e_x, e_y, x, y, reach):
-                least = min(least, _least(segment_gap(line[k], x, y)[0], reach, radius[i], scales))
-        for wall in range(4):
-            if wall_gap(e_x, e_y, box, wall) <= ON * reach:
-                least = min(least, _least(wall_gap(x, y, box, wall), reach, radius[i], scales))
-        time, _ = time_to_touch(line[s], x, y, m_x, m_y, least)
-    return time
-
-
-@njit(cache=True, error_model="numpy")
-def _touch(i, k, now, path):
-    """Time of the first touch of two circles from a time on, in steps; inf without one."""
-    start, move, stop, radius, _, _, scales = path
-    s_x, s_y = start[k, 0] - start[i, 0], start[k, 1] - start[i, 1]
-    i_t, k_t = min(now, stop[i]), min(now, stop[k])
-    p_x, p_y = s_x + k_t * move[k, 0] - i_t * move[i, 0], s_y + k_t * move[k, 1] - i_t * move[i, 1]
-    w_x = w_y = 0.0
-    if stop[i] == 1.0:
-        w_x, w_y = -move[i, 0], -move[i, 1]
-    if stop[k] == 1.0:
-        w_x, w_y = w_x + move[k, 0], w_y + move[k, 1]
-    approach = p_x * w_x + p_y * w_y
-    if not approach < 0.0:
+    far = paths.touches[i] > 0 or m_x * m_x + m_y * m_y > (FAST * radius * rest) ** 2
+    if not far or rest <= 0.0:
         return np.inf
-    reach = radius[i] + radius[k]
-    missed = p_x * p_x + p_y * p_y - reach * reach
-    if approach * approach < (w_x * w_x + w_y * w_y) * missed:
-        return np.inf  # as below, without a root: they stop within reach
-    least = _least(math.sqrt(s_x * s_x + s_y * s_y), reach, min(radius[i], radius[k]), scales)
-    beyond = p_x * p_x + p_y * p_y - least * least
-    if beyond <= 0.0:
-        return now
-    under = approach * approach - (w_x * w_x + w_y * w_y) * beyond
-    return np.inf if under < 0.0 else now + beyond / (math.sqrt(under) - approach)
+    if drive is not None:
+        start_x, start_y = carried(line, drive.wall, s, dt, start_x, start_y)
+    touching = reach - touching_overlap(radius, paths.scales)
+    least = min(touching, segment_gap(line[s], start_x, start_y)[0], segment_gap(line[s], x, y)[0])
+    share, part = time_to_touch(line[s], x, y, m_x, m_y, least)
+    if part != BESIDE and share <= 1.0:
+        # An end on a surface is no nearer than that: what slides along one segment does not touch the next.
+        end, column = 2 * s + part - START, 2 * (part - START)
+        e_x, e_y, hiding, first = line[s, column], line[s, column + 1], paths.segments.hiding, paths.segments.first
+        for k in hiding[first[end] : first[end + 1]]:
+            if hides(line[k], e_x, e_y, x, y, reach):
+                least = min(least, segment_gap(line[k], start_x, start_y)[0], segment_gap(line[k], x, y)[0])
+        for wall in range(4):
+            if wall_gap(e_x, e_y, paths.box, wall) <= ON * reach:
+                least = min(least, wall_gap(start_x, start_y, paths.box, wall), wall_gap(x, y, paths.box, wall))
+        share, _ = time_to_touch(line[s], x, y, m_x, m_y, least)
+    if share > 1.0:
+        return np.inf
+    _, n_x, n_y = segment_gap(line[s], x + share * m_x, y + share * m_y)
+    return now + share * rest if m_x * n_x + m_y * n_y > HELD * radius * rest else np.inf
 
 
 @njit(cache=True, error_model="numpy")
-def _tell_neighbours(k, now, path, swept, fast, when, queue):
-    """Let fast circles that still move know, in `when` and the queue, that this one has stopped."""
-    stop = path[2]
-    for i in _crossing(k, path, swept):
-        if fast[i] and stop[i] == 1.0:
-            time = _touch(i, k, now, path)
-            if time < when[i]:
-                when[i] = time
-                heappush(queue, (time, i))
+def touch_circle(i, k, now, paths):
+    """Time of the first touch of two circles from a time on, in steps; inf without one."""
+    start, rate, held = paths.start, paths.rate, paths.held
+    (x_i, y_i), (x_k, y_k) = place_at(paths, i, now), place_at(paths, k, now)
+    p_x, p_y, w_x, w_y = x_k - x_i, y_k - y_i, rate[k, 0] - rate[i, 0], rate[k, 1] - rate[i, 1]
+    along = p_x * w_x + p_y * w_y
+    if not along < 0.0:
+        return np.inf
+    reach, smaller = paths.radius[i] + paths.radius[k], min(paths.radius[i], paths.radius[k])
+    missed, w = p_x * p_x + p_y * p_y - reach * reach, w_x * w_x + w_y * w_y
+    if along * along < w * missed:
+        return np.inf  # as below, without a root: a touch is within reach
+    is_fixed_i, is_fixed_k = paths.inverse[i] == 0.0, paths.inverse[k] == 0.0
+    if (is_fixed_i and held[k] > held[i]) or (is_fixed_k and held[i] > held[k]) or (is_fixed_i and is_fixed_k):
+        return np.inf  # it passes over what is firm
+    if paths.touches[k] >= MOST_TOUCHES:
+        return np.inf
+    least, slowest = reach - touching_overlap(smaller, paths.scales), PAIRS * smaller
+    s_x, s_y = start[k, 0] - start[i, 0], start[k, 1] - start[i, 1]
+    square = min(least * least, s_x * s_x + s_y * s_y)
+    if held[i] != FREE or held[k] != FREE:
+        slowest = HELD * smaller
+    beyond = p_x * p_x + p_y * p_y - square
+    if beyond <= 0.0:
+        return now if along * along > slowest * slowest * (p_x * p_x + p_y * p_y) else np.inf
+    under = along * along - w * beyond
+    return now + beyond / (math.sqrt(under) - along) if under > slowest * slowest * square else np.inf
+
+
+@njit(cache=True, error_model="numpy")
+def push(first, second, time, step, paths, changed, drive, shifts):
+    """Change the paths of circles at touches of one time, in place. Returns how many change; `changed` lists them.
+
+    first, second: a circle and what it touches, (k,) each; used. A circle shares its mass among its touches.
+    """
+    touches, count, n = first.shape[0], 0, paths.radius.shape[0]
+    normal, approach, carrier = np.empty((touches, 2)), np.empty(touches), np.empty(touches)
+    by, shares = np.empty(touches, np.int64), np.zeros(n)
+    for j in range(touches):
+        if not yields(first[j], second[j], paths):
+            first[j], second[j] = second[j], first[j]
+        i, k = first[j], second[j]
+        n_x, n_y, approach[j] = approach_of(i, k, time, paths, drive, step.dt)
+        normal[j, 0], normal[j, 1] = n_x, n_y
+        carrier[j] = paths.rate[i, 0] * n_x + paths.rate[i, 1] * n_y - approach[j]
+        by[j] = FREE if yields(k, i, paths) else hold_of(k, paths, drive)
+        count = share(i, shares, changed, count)
+        if by[j] == FREE:
+            count = share(k, shares, changed, count)
+    for c in changed[:count]:
+        paths.place[c, 0], paths.place[c, 1] = place_at(paths, c, time)
+        paths.since[c] = time
+        paths.touches[c] += 1
+    for j in range(touches):
+        i, k, w = first[j], second[j], paths.inverse
+        s = approach[j] / (shares[i] * w[i] + (shares[k] * w[k] if by[j] == FREE else 0.0))
+        if by[j] == FREE:
+            turn(k, w[k] * s, normal[j], paths)
+            paths.pushed[i] = paths.pushed[k] = True
+        else:
+            paths.held[i] = max(paths.held[i], by[j])
+            if step.restitution > 0.0 and not paths.pushed[i]:
+                missed = (1.0 - time) * w[i] * s
+                keep_energy(i, missed, carrier[j] / step.dt, normal[j], step, drive, shifts)
+        turn(i, -w[i] * s, normal[j], paths)
+    return count
+
+
+@njit(inline="always")
+def share(i, shares, changed, count):
+    """Let circle i share its mass with one touch more, in place, and list it once. Returns how many are listed."""
+    if shares[i] == 0.0:
+        changed[count] = i
+        count += 1
+    shares[i] += 1.0
+    return count
+
+
+@njit(inline="always")
+def turn(i, change, normal, paths):
+    """Change the rate of circle i by so much along a normal, in place, m a step."""
+    paths.rate[i, 0] += change * normal[0]
+    paths.rate[i, 1] += change * normal[1]
+
+
+@njit(inline="always")
+def yields(i, k, paths):
+    """Whether i is a circle that changes its path where it touches k."""
+    n = paths.radius.shape[0]
+    if i >= n or paths.inverse[min(i, n - 1)] == 0.0:
+        return False
+    return k >= n or paths.held[k] >= paths.held[i] or paths.inverse[k] == 0.0
+
+
+@njit(inline="always")
+def hold_of(k, paths, drive):
+    """How what circles touch holds them: a wall, a segment, or a circle that does not yield."""
+    n = paths.radius.shape[0]
+    if k < n:
+        return paths.held[k]
+    if drive is not None:
+        if k >= n + 4 and moves(drive.wall, k - n - 4):
+            return CARRIED
+    return FIRM
+
+
+@njit(cache=True, error_model="numpy")
+def approach_of(i, k, time, paths, drive, dt):
+    """(n_x, n_y, rate) at which circle i comes nearer to k, along the unit normal from i to k, m a step."""
+    n, rate = paths.radius.shape[0], paths.rate
+    if k < n:
+        (x_i, y_i), (x_k, y_k) = place_at(paths, i, time), place_at(paths, k, time)
+        distance = math.hypot(x_k - x_i, y_k - y_i)
+        n_x, n_y = (x_k - x_i) / distance, (y_k - y_i) / distance
+        return n_x, n_y, (rate[i, 0] - rate[k, 0]) * n_x + (rate[i, 1] - rate[k, 1]) * n_y
+    if k < n + 4:
+        n_x, n_y = WALL_NORMALS[k - n, 0], WALL_NORMALS[k - n, 1]
+        return n_x, n_y, rate[i, 0] * n_x + rate[i, 1] * n_y
+    s = k - n - 4
+    (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, None, dt)
+    if drive is not None:
+        if moves(drive.wall, s):
+            (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, drive, dt)
+    _, n_x, n_y = segment_gap(paths.segments.line[s], x, y)
+    return n_x, n_y, (m_x * n_x + m_y * n_y) / (1.0 - time)
+
+
+@njit(cache=True, error_model="numpy")
+def keep_energy(i, missed, carrier, normal, step, drive, shifts):
+    """Change the velocity of circle i, in place, for the way, m, that it misses along a normal, since it is held.
+
+    It has the speed that gravity and pushes give in a whole step, but does not go all of its way along them: without
+    the change its energy would be another. Its velocity is half a step behind its place. carrier: velocity of what
+    holds it along the normal, m/s. The change of momentum is added to shifts, (n, 2), N·s; (0, 2) where nobody asks.
+    """
+    bodies, dt = step.bodies, step.dt
+    g = step.gravity[0] * normal[0] + step.gravity[1] * normal[1]
+    if drive is not None:
+        g += (drive.force[i, 0] * normal[0] + drive.force[i, 1] * normal[1]) / bodies.mass[i]
+    v = bodies.velocity[i, 0] * normal[0] + bodies.velocity[i, 1] * normal[1] - carrier + 0.5 * dt * g
+    if v > 0.0:
+        change = math.sqrt(max(0.0, v * v - 2.0 * g * missed)) - v
+        for axis in range(2):
+            bodies.velocity[i, axis] += change * normal[axis]
+            if shifts.shape[0] > 0:
+                shifts[i, axis] += bodies.mass[i] * change * normal[axis]

@@ -22,6 +22,8 @@ class ConvergenceRecord(NamedTuple):
     | status | "converged": the last θ is within the tolerance; "max_sweeps": it is not, or no      |
     |        | tolerance was asked for; "diverged": it is not finite, and sweeping ended there;     |
     |        | "no_contacts": there was nothing to solve                                            |
+    | shifts | what gravity and pushes gave to circles in a step beside Δt (m g + f), (n, 2), N·s;  |
+    |        | `on_step` gets it where e > 0; None elsewhere                                        |
 
     θ is a stopping rule, not an error: slow convergence has small steps. For errors see `deep_contact.physics.metrics`.
     """
@@ -29,14 +31,15 @@ class ConvergenceRecord(NamedTuple):
     theta: np.ndarray
     sweeps: int
     status: str
+    shifts: np.ndarray | None = None
 
     def __repr__(self) -> str:
         last = f", last θ {self.theta[-1]:.2g} N·s" if self.theta.size else ""
         return f"ConvergenceRecord({self.sweeps:,} sweeps, {self.status.replace('_', ' ')}{last})"
 
 
-def convergence_record(theta: np.ndarray, solver, n_contacts: int) -> ConvergenceRecord:
-    """Record of a solve from the θ of its sweeps, the solver's options and the number of contacts."""
+def convergence_record(theta: np.ndarray, solver, n_contacts: int, shifts=None) -> ConvergenceRecord:
+    """Record of a solve from the θ of its sweeps, the solver's options, the number of contacts, and shifts."""
     if n_contacts == 0:
         status = "no_contacts"
     elif solver.tolerance is not None and theta.size and theta[-1] <= solver.tolerance:
@@ -45,7 +48,7 @@ def convergence_record(theta: np.ndarray, solver, n_contacts: int) -> Convergenc
         status = "diverged"
     else:
         status = "max_sweeps"
-    return ConvergenceRecord(theta.copy(), int(theta.size), status)
+    return ConvergenceRecord(theta.copy(), int(theta.size), status, shifts)
 
 
 def mean_theta(thetas: Iterable[np.ndarray], sweeps: int) -> np.ndarray:

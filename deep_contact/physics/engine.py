@@ -39,12 +39,14 @@ from deep_contact.physics.contact_solver import (
 )
 from deep_contact.physics.convergence import ConvergenceRecord, all_finite, convergence_record
 from deep_contact.physics.impacts import logged_rebound, rebound
+from deep_contact.physics.passing import without_passed
 from deep_contact.physics.position_correction import correct_positions
 from deep_contact.physics.segments import moved_segments, positions_before, segments_in_grid
 from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax
 from deep_contact.physics.step import (
     DONE,
     FINITE,
+    PASSED,
     WORK,
     Drive,
     Motion,
@@ -98,7 +100,7 @@ def advance(setup, contacts, motion, sleep, log, drive):
             continue
         if motion is not None:
             part = part_by_motion(step, part, memory.cells, drive)
-            fly_on(step, part, contacts, step.dt - part.dt, drive)
+            fly_on(step, part, contacts, step.dt - part.dt, drive, log.shifts)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
             is_whole, contacts, received, segments = do_part(
@@ -109,7 +111,7 @@ def advance(setup, contacts, motion, sleep, log, drive):
             if drive is not None:
                 part, step = part_of(part, segments), part_of(step, segments)
         if motion is not None:
-            fly_on(step, part, contacts, part.dt - step.dt, drive)
+            fly_on(step, part, contacts, part.dt - step.dt, drive, log.shifts)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
@@ -147,13 +149,17 @@ def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive)
         log_work(part, active, solver_bodies, log)
         segments = moved_segments(segments, drive, part.dt)
     before = positions_before(bodies, segments)
-    if not integrate_positions(bodies, solver_bodies, part, segments, drive):
+    if not integrate_positions(bodies, solver_bodies, part, segments, drive, log.shifts):
         return False, contacts, received, segments
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
     # The contacts that the next part or step solves, and who sleeps in it.
     walls, mass, buffer = Walls(box, scales.wall_skin), mass_if_fixed(bodies, drive), memory.contacts[turn]
-    hold(bodies, before, walls, segments, contacts, drive, part.dt)
+    passed = hold(bodies, before, walls, segments, contacts, drive, part.dt)
     following = find_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
+    if drive is not None:
+        following = without_passed(following, bodies, segments, drive, log.progress)
+        if passed >= 0:
+            log.progress[PASSED] = passed + 1
     carry_impulses(contacts, following, options.carry)
     sleeping.wake_and_put_to_sleep(part, following, sleep, drive)
     # The log.

@@ -159,5 +159,5 @@ def with_shifted_flights(state: StateWithContacts, change: float) -> StateWithCo
     if change == 0.0 or state.world.restitution == 0.0 or state.step == 0:
         return state
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy())
-    shift_flights(bodies, state.contacts, state.world.gravity, change, drive_of(state))
+    shift_flights(bodies, state.contacts, state.world.gravity, change, drive_of(state), np.zeros((0, 2)))
     return changed(state, bodies=bodies)

@@ -5,8 +5,9 @@ Where a circle is nearest to an end, the contact is that with a point. An end th
 of the box, or just behind it, is no point of its own: that surface has the contact (`touches`). Ghost vertices do
 this in chains of Box2D 2.3; without them, a circle that rolls over a joint stumbles.
 
-No centre ever crosses a segment: fast circles stop at it (`continuous`), and what sweeps or position correction would
-still push through is held on its side (`hold_beside`).
+No centre ever crosses a segment that rests: fast circles touch it (`continuous`), and what sweeps or position
+correction would still push through is held on its side (`hold_beside`). A segment that moves on into a circle which
+what rests holds passes over it (`passing`).
 
 A grid of cells tells which of them are within reach of a place (`in_grid`): it is made once a run, and where a segment
 moves (`step.Drive`), after each of its moves. What a circle does beside such a segment is looked at as the segment sees
@@ -450,17 +451,37 @@ def hold_beside(bodies, before, segments, drive):
 
 
 @njit(cache=True, error_model="numpy")
-def hold_beside_moving(bodies, before, segments, drive, dt):
-    """`hold_beside` for the segments that move. They have moved for Δt, s."""
-    position, line = bodies.position, segments.line
+def hold_beside_moving(bodies, before, segments, solved, drive, dt):
+    """`hold_beside` for the segments that move, in place. They have moved for Δt, s. solved: contacts at its begin.
+
+    A segment that was not touched, or is fast (`continuous`), passes over what it crosses. Returns whether centres have
+    changed, and such a circle, or −1.
+    """
+    position, line, n = bodies.position, segments.line, bodies.mass.shape[0]
+    changed, passed = False, np.int64(-1)
     for s in drive.moving:
-        for i in range(position.shape[0]):
+        for i in range(n):
             x, y = carried(line, drive.wall, s, dt, before[i, 0], before[i, 1])
             share = 0.5 * crossing(line[s], x, y, position[i, 0], position[i, 1])
-            if share <= 0.5 and bodies.mass[i] < math.inf:
-                to_x, to_y = x + share * (position[i, 0] - x), y + share * (position[i, 1] - y)
-                stays = crossing(line[s], x, y, to_x, to_y) <= 1.0
-                position[i, 0], position[i, 1] = (x, y) if stays else (to_x, to_y)
+            if share > 0.5 or bodies.mass[i] == math.inf:
+                continue
+            m_x, m_y = position[i, 0] - x, position[i, 1] - y
+            if not touched(solved, i, n + 4 + s) or m_x * m_x + m_y * m_y > 0.25 * bodies.radius[i] ** 2:
+                passed = np.int64(i)
+                continue
+            to_x, to_y = x + share * m_x, y + share * m_y
+            stays, changed = crossing(line[s], x, y, to_x, to_y) <= 1.0, True
+            position[i, 0], position[i, 1] = (x, y) if stays else (to_x, to_y)
+    return changed, passed
+
+
+@njit(cache=True)
+def touched(contacts, a, b):
+    """Whether two bodies have a contact."""
+    for k in range(contacts.body_a.shape[0]):
+        if contacts.body_a[k] == a and contacts.body_b[k] == b:
+            return True
+    return False
 
 
 @njit(cache=True, error_model="numpy")

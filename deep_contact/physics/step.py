@@ -110,9 +110,10 @@ def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
     )  # fmt: skip
 
 
-DONE, WORK, LAST_SWEEPS, WATCHED, FINITE = range(5)
+DONE, WORK, LAST_SWEEPS, WATCHED, FINITE, PASSED = range(6)
 """Elements of `StepLog.progress`: substeps done; the work, in relaxations, after which a call ends; sweeps of the last
-part; whether the call is one step whose impulses are logged in `StepLog.received`; whether all positions are finite."""
+part; whether the call is one step whose impulses are logged in `StepLog.received`; whether all positions are finite;
+1 + the circle over which a moving segment has passed last, or 0."""
 
 PAIR, X, Y, N_X, N_Y, SEPARATION, P_X, P_Y = range(8)
 """Columns of `StepLog.received`: the two bodies as one number (`pair_of`); the place, m, normal and separation, m, with
@@ -133,23 +134,28 @@ class StepLog(NamedTuple):
     theta: np.ndarray  # the last, N·s
     relaxations: np.ndarray
     parts: np.ndarray  # of a step
-    progress: np.ndarray  # (5,): `DONE`, `WORK`, `LAST_SWEEPS`, `WATCHED`, `FINITE`
+    progress: np.ndarray  # (6,): `DONE`, `WORK`, `LAST_SWEEPS`, `WATCHED`, `FINITE`, `PASSED`
     loads: np.ndarray  # (4 + S, 2): the sum of all that walls and segments received, N·s; (0, 2) where nobody asks
     received: np.ndarray  # (k, 8): what pairs received in a step that is watched, sorted by `PAIR`: rebounds and solves
     on_circles: np.ndarray  # (n, 2): the sum of what contacts gave to the circles, N·s; (0, 2) where nobody asks
     work: np.ndarray  # (1,): the sum of what moving segments, fixed circles and pushes did, J
+    shifts: np.ndarray  # (n, 2): the sum of what gravity and pushes gave beside m g Δt, N·s; (0, 2) where nobody asks
 
 
-def make_log(steps: int, loads: int = 0, circles: int = 0) -> StepLog:
-    """A log for so many steps, which one call may do all. loads, circles: walls and segments, and circles, or 0."""
+def make_log(steps: int, loads: int = 0, circles: int = 0, shifts: int = 0) -> StepLog:
+    """A log for so many steps, which one call may do all.
+
+    loads: walls and segments, or 0. circles, shifts: of whose contacts and flights the sums are asked, or 0.
+    """
     columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64, np.int64))
-    progress = np.array([0, 2**63 - 1, 0, 0, 1])  # with no bound on the work
-    return StepLog(*columns, progress, np.zeros((loads, 2)), np.zeros((0, 8)), np.zeros((circles, 2)), np.zeros(1))
+    progress = np.array([0, 2**63 - 1, 0, 0, 1, 0])  # with no bound on the work
+    sums = np.zeros((loads, 2)), np.zeros((0, 8)), np.zeros((circles, 2)), np.zeros(1), np.zeros((shifts, 2))
+    return StepLog(*columns, progress, *sums)
 
 
 def some_steps(log: StepLog, first: int, count: int, work: int, is_watched: bool) -> StepLog:
     """The rows of a log from `first` on, as views, for a call that ends after so much work."""
-    progress = np.array([0, work, 0, is_watched, 1])
+    progress = np.array([0, work, 0, is_watched, 1, 0])
     return StepLog(*(column[first : first + count] for column in log[:5]), progress, *log[6:])
 
 

@@ -29,6 +29,7 @@ from deep_contact.physics.contact_solver import (
 )
 from deep_contact.physics.convergence import all_finite, is_over
 from deep_contact.physics.impacts import logged_rebound
+from deep_contact.physics.passing import without_passed
 from deep_contact.physics.position_correction import (
     correct_tiles,
     fill_centres,
@@ -40,6 +41,7 @@ from deep_contact.physics.solvers.registry import Loop, register, tolerance_argu
 from deep_contact.physics.step import (
     DONE,
     FINITE,
+    PASSED,
     WORK,
     impulses_of,
     is_asked,
@@ -185,14 +187,14 @@ def advance_in_batches(setup, contacts, room, log, drive):
     for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
         if step.motion.most > 1:
             part = part_by_motion(step, part, room.memory.cells, drive)
-            fly_on(step, part, room.contacts, step.dt - part.dt, drive)
+            fly_on(step, part, room.contacts, step.dt - part.dt, drive, log.shifts)
         for _ in range(part.parts // step.parts):
             turn = 1 - turn
             segments = do_part_in_batches(part, options, room, buffers[turn], log, j // step.parts, drive)
             if drive is not None:
                 part, step = part_of(part, segments), part_of(step, segments)
         if step.motion.most > 1:
-            fly_on(step, part, room.contacts, part.dt - step.dt, drive)
+            fly_on(step, part, room.contacts, part.dt - step.dt, drive, log.shifts)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
@@ -233,7 +235,7 @@ def do_part_in_batches(part, options, room, buffer, log, k, drive):
         batches.move_points(plan, tiles, part.dt)
         segments = moved_segments(segments, drive, part.dt)
     before = positions_before(bodies, segments)
-    integrate_positions(bodies, velocities, part, segments, drive)
+    integrate_positions(bodies, velocities, part, segments, drive, log.shifts)
     correct_positions_in_batches(plan, tiles, bodies, scales, options.position_sweeps)
     log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
     if is_asked(log):
@@ -241,11 +243,15 @@ def do_part_in_batches(part, options, room, buffer, log, k, drive):
     # The contacts that the next part or step solves. Logs and impacts read all geometry; tiles, that of walls.
     least = 0 if part.restitution > 0.0 or is_asked(log) or drive is not None else n
     position, radius, walls = bodies.position, bodies.radius, collision.Walls(box, scales.wall_skin)
-    collision.hold(bodies, before, walls, segments, solved, drive, part.dt)
+    passed = collision.hold(bodies, before, walls, segments, solved, drive, part.dt)
     collision.refresh_list(position, radius, cells, 0.0)
     mass = collision.mass_if_fixed(bodies, drive)
     room.contacts = collision.find_pairs(position, radius, mass, walls, segments, cells, buffer)
     collision.write_geometry(position, radius, walls, segments, room.contacts, least)
+    if drive is not None:
+        room.contacts = without_passed(room.contacts, bodies, segments, drive, log.progress)
+        if passed >= 0:
+            log.progress[PASSED] = passed + 1
     collision.carry_impulses(solved, room.contacts, options.carry)
     return segments
 
