@@ -575,8 +575,8 @@ def simulate(
     the record is that of the last substep. The state has the bodies before the step, and the contacts of the step.
     `normal_start` and `tangent_start` are what the contacts started from, `normal_impulse` and `tangent_impulse` all
     that they gave in the step, in its substeps and rebounds. So the changes of momentum are the sums of these impulses,
-    those of gravity and pushes, and where e > 0 the record's `shifts`. Contacts that came during the step are among them, where they came, and started
-    from 0. To go on from such a state, with the same push, repeats the step.
+    those of gravity and pushes, and where e > 0 the record's `shifts`. Contacts that came during the step are among
+    them, where they came, and started from 0. To go on from such a state, with the same push, repeats the step.
     Arrays that `until` and `on_step` get cannot be written into: `Simulator` changes what goes on.
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
     all numbers; the run can be interrupted.

@@ -158,10 +158,10 @@ def collide_fast(step, start, segments, drive, shifts):
     for i in range(n):
         if searches[i, 0] or searches[i, 1]:
             find_touch(i, 0.0, searches, paths, swept, queue, drive, step.dt)
-    first, second, changed = np.empty(n, np.int64), np.empty(n, np.int64), np.empty(n, np.int64)
+    first, second, changed = np.empty(8 * n, np.int64), np.empty(8 * n, np.int64), np.empty(n, np.int64)
     while queue[0][0] <= 1.0:
         time, count = queue[0][0], 0
-        while queue[0][0] <= time + TOGETHER:
+        while queue[0][0] <= time + TOGETHER and count < 8 * n:
             _, i, k, touches_i, touches_k = heappop(queue)
             if paths.touches[i] != touches_i:
                 continue  # it has been looked for again since
@@ -251,6 +251,7 @@ class Swept(NamedTuple):
     farthest: np.ndarray  # (2,): how far a box reaches from the middle of its circle, at most, m
     grid: np.ndarray  # of `Cells`
     found: np.ndarray  # (n,): a buffer
+    times: np.ndarray  # (n,): likewise
 
 
 _make_cells = njit(cache=True)(make_cells)
@@ -266,9 +267,8 @@ def sort_swept(paths):
     sort_level(np.int64(0), middle, paths.radius, 0.0, np.int64(0), np.int64(0), cells)
     for k in range(n):
         rank[cells.order[k]] = k
-    swept = Swept(
-        cells.start, cells.order, rank, middle, np.empty((n, 4)), np.zeros(2), cells.grid, np.empty(n, np.int64)
-    )
+    found, times, box = np.empty(n, np.int64), np.empty(n), np.empty((n, 4))
+    swept = Swept(cells.start, cells.order, rank, middle, box, np.zeros(2), cells.grid, found, times)
     for i in range(n):
         follow(i, paths, swept)
     return swept
@@ -310,19 +310,22 @@ def crossing_paths(i, now, paths, swept):
 
 @njit(cache=True, error_model="numpy")
 def find_touch(i, now, searches, paths, swept, queue, drive, dt):
-    """Put the first touch of circle i from a time on into the queue: (time, i, partner, touches of both so far)."""
-    n, first, partner = paths.radius.shape[0], np.inf, -1
+    """Put the first touches of circle i from a time on into the queue: (time, i, partner, touches of both so far)."""
     if paths.touches[i] >= MOST_TOUCHES:
         return
+    first = np.inf
     if searches[i, 0] and paths.inverse[i] > 0.0:
-        first, partner = touch_walls(i, now, paths, drive, dt)
+        first, wall = touch_walls(i, now, paths, drive, dt)
+        if first <= 1.0:
+            heappush(queue, (first, i, wall, paths.touches[i], 0))
     if searches[i, 1]:
-        for k in crossing_paths(i, now, paths, swept):
-            time = touch_circle(i, k, now, paths)
-            if time < first:
-                first, partner = time, k
-    if first <= 1.0:
-        heappush(queue, (first, i, partner, paths.touches[i], paths.touches[partner] if partner < n else 0))
+        others, times = crossing_paths(i, now, paths, swept), swept.times
+        for j in range(others.shape[0]):
+            times[j] = touch_circle(i, others[j], now, paths)
+            first = min(first, times[j])
+        for j in range(others.shape[0]):
+            if times[j] <= min(first + TOGETHER, 1.0):
+                heappush(queue, (times[j], i, others[j], paths.touches[i], paths.touches[others[j]]))
 
 
 @njit(cache=True, error_model="numpy")

@@ -8,7 +8,6 @@ import pytest
 from conftest import circles_at, momentum
 
 import deep_contact as dc
-from deep_contact.physics.continuous import take_back_fall
 from deep_contact.physics.engine import after_impacts
 from deep_contact.presets import PRESETS
 from deep_contact.studies.extremes import mechanical_energy
@@ -74,17 +73,6 @@ def test_what_rests_does_not_rebound():
     for scene in (dc.column(4, restitution=1.0), with_masses(dc.column(4, restitution=1.0), 50.0)):
         state = dc.simulate(scene, steps=200, solver=dc.PGS(sweeps=500, tolerance=1e-10)).state
         assert np.abs(state.bodies.velocity).max() < 1e-3
-
-
-@pytest.mark.parametrize("speed", [-80.0, 80.0])
-def test_what_stops_early_keeps_the_energy_of_its_height(speed):
-    velocity, time, g = np.array([3.0, speed]), 0.004, 9.81
-    take_back_fall(velocity, time, (0.0, -g))
-    assert velocity[0] == 3.0
-    assert velocity[1] == pytest.approx(math.copysign(math.sqrt(speed**2 + 2 * g * time * speed), speed), rel=1e-14)
-    turned = np.array([0.8 * 3.0 - 0.6 * speed, 0.6 * 3.0 + 0.8 * speed])
-    take_back_fall(turned, time, (0.6 * g, -0.8 * g))
-    np.testing.assert_allclose(turned, [0.8 * 3.0 - 0.6 * velocity[1], 0.6 * 3.0 + 0.8 * velocity[1]], rtol=1e-14)
 
 
 def test_angular_momentum_changes_by_position_correction_alone():

@@ -112,9 +112,17 @@ def test_bounces_by_motion_keep_their_energy_and_their_bits(solver):
     np.testing.assert_array_equal(watched.state.bodies.velocity, run.state.bodies.velocity)
 
 
-def test_a_change_of_the_step_shifts_only_what_touches_nothing():
+def test_a_change_of_the_step_shifts_only_what_no_contact_pushes():
     # v(t − Δt / 2) of the leapfrog: half of g times the change, but for two circles in contact and one on the floor.
     centres = [[2.0, 5.0], [4.0, 5.0], [8.0, 1.0], [6.0, 8.0]]
     state = ready(circles_at(centres, velocity=np.ones((4, 2)), box=(0, 0, 10, 10)))
-    shift_flights(state.bodies, state.contacts, (2.0, -10.0), 0.01, None)
+    assert state.contacts.count == 2
+    state.contacts.normal_impulse[:] = 1.0
+    shifts = np.zeros((4, 2))
+    shift_flights(state.bodies, state.contacts, (2.0, -10.0), 0.01, None, shifts)
     np.testing.assert_allclose(state.bodies.velocity, [[1, 1], [1, 1], [1, 1], [1.01, 0.95]], rtol=1e-15)
+    np.testing.assert_allclose(shifts / state.bodies.mass[:, None], state.bodies.velocity - 1.0, atol=1e-15)
+    # A contact without an impulse has pushed nobody: what has just come, or leaves, is shifted.
+    state.contacts.normal_impulse[:] = 0.0
+    shift_flights(state.bodies, state.contacts, (2.0, -10.0), -0.01, None, np.zeros((0, 2)))
+    np.testing.assert_allclose(state.bodies.velocity[2:], [[0.99, 1.05], [1.0, 1.0]], rtol=1e-15)

@@ -93,7 +93,7 @@ def crowds(draw):
 def test_without_restitution_a_step_gains_no_energy_but_by_position_correction(state):
     # By v⁺ᵀJᵀλ <= 0 at a solution: E of a step falls by ½‖v⁺ − v‖² at least, apart from what correction lifts. What a
     # solve that has not converged leaves is left out: this is about the solution; so is a step in which something fast
-    # stops early and keeps the energy of its height (`continuous`).
+    # is held early, and has not fallen as far as its speed says (`continuous`).
     state = ready(state)
     for _ in range(5):
         solution = dc.solve_contacts(state, solver=INELASTIC)
