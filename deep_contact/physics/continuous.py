@@ -12,9 +12,10 @@ both go on with their common rate along n, and each keeps its own along the tang
 Velocities stay as they were solved: the next step finds the contact, and solves it. So the centre of mass goes on as it
 would have, and all that counts are relative motions: what happens is the same in every frame that moves evenly.
 
-A wall, a segment and a fixed circle have an infinite mass. What has met one is held: it counts as infinite itself, and
-is *firm* if that rests. Of two circles held in different ways only the less firm one changes its path. Where something
-moves on into a circle that is firm, it passes over it.
+A wall, a segment and a fixed circle have an infinite mass. A circle that has met one is *held*: what pushes it against
+that only lets it slide along, and where nothing is left to slide it has an infinite mass, and holds what pushes. It is
+*firm* if what holds it rests. Of two that are held against each other the less firm one yields all the same, and what
+moves on into a circle that is firm passes over it.
 
 No approach that rounding could make is a touch: see `PAIRS`, `HELD`. Touches of one time are made together, and share
 the masses of their circles among them, so that no order is preferred. (Box2D 2.3 stops circles at walls and bullets,
@@ -57,6 +58,9 @@ HELD = 0.01
 FREE, CARRIED, FIRM = range(3)
 """How a circle is held: not; by something that moves; by something that rests."""
 
+BLOCKED = 0.999
+"""Cosine of the angle between a push and what holds a circle from which on the circle does not yield."""
+
 TOGETHER = 1e-9
 """Touches count as simultaneous if they are no farther apart than this, in steps."""
 
@@ -75,8 +79,8 @@ class Paths(NamedTuple):
     | rate     | way in a whole step                                      | (n, 2) | m    |
     | inverse  | inverse mass                                             | (n,)   | 1/kg |
     | held     | `FREE`, `CARRIED` or `FIRM`                              | (n,)   | –    |
+    | block    | unit vector to what holds it                             | (n, 2) | –    |
     | touches  | how often the path has changed                           | (n,)   | –    |
-    | pushed   | whether another circle has changed it                    | (n,)   | –    |
     | radius   |                                                          | (n,)   | m    |
 
     box, segments, scales: of the step; the segments are where they are at its end.
@@ -88,8 +92,8 @@ class Paths(NamedTuple):
     rate: np.ndarray
     inverse: np.ndarray
     held: np.ndarray
+    block: np.ndarray
     touches: np.ndarray
-    pushed: np.ndarray
     radius: np.ndarray
     box: tuple
     segments: tuple
@@ -146,8 +150,8 @@ def collide_fast(step, start, segments, drive, shifts):
     if not math.isfinite(start.sum() + rate.sum()):
         return  # the caller of the run says so
     paths = Paths(
-        start, start.copy(), np.zeros(n), rate, 1.0 / bodies.mass, np.zeros(n, np.int64), np.zeros(n, np.int64),
-        np.zeros(n, np.bool_), bodies.radius, step.box, segments, step.scales,
+        start, start.copy(), np.zeros(n), rate, 1.0 / bodies.mass, np.zeros(n, np.int64), np.zeros((n, 2)),
+        np.zeros(n, np.int64), bodies.radius, step.box, segments, step.scales,
     )  # fmt: skip
     searches = np.zeros((n, 2), np.bool_)  # whether a circle looks for walls and segments, and for circles
     choose_fast(paths, searches, drive, step.dt)
@@ -454,65 +458,78 @@ def touch_circle(i, k, now, paths):
 def push(first, second, time, step, paths, changed, drive, shifts):
     """Change the paths of circles at touches of one time, in place. Returns how many change; `changed` lists them.
 
-    first, second: a circle and what it touches, (k,) each; used. A circle shares its mass among its touches.
+    first, second: a circle and what it touches, (k,) each. A circle shares its mass among its touches.
     """
     touches, count, n = first.shape[0], 0, paths.radius.shape[0]
-    normal, approach, carrier = np.empty((touches, 2)), np.empty(touches), np.empty(touches)
-    by, shares = np.empty(touches, np.int64), np.zeros(n)
+    normal, approach, yielding = np.empty((touches, 2)), np.empty(touches), np.empty((touches, 2, 3))
+    shares = np.zeros(n)
     for j in range(touches):
-        if not yields(first[j], second[j], paths):
-            first[j], second[j] = second[j], first[j]
         i, k = first[j], second[j]
-        n_x, n_y, approach[j] = approach_of(i, k, time, paths, drive, step.dt)
-        normal[j, 0], normal[j, 1] = n_x, n_y
-        carrier[j] = paths.rate[i, 0] * n_x + paths.rate[i, 1] * n_y - approach[j]
-        by[j] = FREE if yields(k, i, paths) else hold_of(k, paths, drive)
-        count = share(i, shares, changed, count)
-        if by[j] == FREE:
-            count = share(k, shares, changed, count)
+        normal[j, 0], normal[j, 1], approach[j] = approach_of(i, k, time, paths, drive, step.dt)
+        yield_along(i, k, normal[j], paths, yielding[j])
+        for side, c in ((0, i), (1, k)):
+            if yielding[j, side, 0] > 0.0:
+                if shares[c] == 0.0:
+                    changed[count] = c
+                    count += 1
+                shares[c] += 1.0
     for c in changed[:count]:
         paths.place[c, 0], paths.place[c, 1] = place_at(paths, c, time)
         paths.since[c] = time
         paths.touches[c] += 1
     for j in range(touches):
-        i, k, w = first[j], second[j], paths.inverse
-        s = approach[j] / (shares[i] * w[i] + (shares[k] * w[k] if by[j] == FREE else 0.0))
-        if by[j] == FREE:
-            turn(k, w[k] * s, normal[j], paths)
-            paths.pushed[i] = paths.pushed[k] = True
-        else:
-            paths.held[i] = max(paths.held[i], by[j])
-            if step.restitution > 0.0 and not paths.pushed[i]:
-                missed = (1.0 - time) * w[i] * s
-                keep_energy(i, missed, carrier[j] / step.dt, normal[j], step, drive, shifts)
-        turn(i, -w[i] * s, normal[j], paths)
+        i, k, (w_i, w_k) = first[j], second[j], (yielding[j, 0, 0], yielding[j, 1, 0])
+        s = approach[j] / ((shares[i] * w_i if w_i > 0.0 else 0.0) + (shares[k] * w_k if w_k > 0.0 else 0.0))
+        for side, c in ((0, i), (1, k)):
+            if yielding[j, side, 0] > 0.0:
+                for axis in range(2):
+                    paths.rate[c, axis] += s * paths.inverse[c] * yielding[j, side, 1 + axis]
+        if w_k == 0.0:
+            hold(i, normal[j], 1.0, hold_of(k, paths, drive), paths)
+        elif w_i == 0.0:
+            hold(k, normal[j], -1.0, paths.held[i], paths)
+        if step.restitution > 0.0:
+            keep_energy(i, k, (1.0 - time) * s, normal[j], approach[j], yielding[j], step, paths, drive, shifts)
     return count
 
 
 @njit(inline="always")
-def share(i, shares, changed, count):
-    """Let circle i share its mass with one touch more, in place, and list it once. Returns how many are listed."""
-    if shares[i] == 0.0:
-        changed[count] = i
-        count += 1
-    shares[i] += 1.0
-    return count
+def hold(i, normal, sign, by, paths):
+    """Let circle i be held in the direction of a normal times a sign, in place. by: how."""
+    paths.held[i] = max(paths.held[i], by)
+    paths.block[i, 0], paths.block[i, 1] = sign * normal[0], sign * normal[1]
+
+
+@njit(cache=True, error_model="numpy")
+def yield_along(i, k, normal, paths, yielding):
+    """Write how circle i, pushed against a normal, and body k, pushed along it, yield: (2, 3), `mobility` of each.
+
+    Where both are blocked, the circle that is less firm yields as if nothing held it; of two that are alike both do.
+    """
+    n, inverse = paths.radius.shape[0], paths.inverse
+    mobility(i, -normal[0], -normal[1], paths, yielding[0])
+    yielding[1, 0] = 0.0
+    if k < n:
+        mobility(k, normal[0], normal[1], paths, yielding[1])
+    if yielding[0, 0] == 0.0 and yielding[1, 0] == 0.0:
+        if inverse[i] > 0.0 and (k >= n or paths.held[i] <= paths.held[k] or inverse[min(k, n - 1)] == 0.0):
+            yielding[0, 0], yielding[0, 1], yielding[0, 2] = inverse[i], -normal[0], -normal[1]
+        if k < n and inverse[min(k, n - 1)] > 0.0 and (paths.held[k] <= paths.held[i] or inverse[i] == 0.0):
+            yielding[1, 0], yielding[1, 1], yielding[1, 2] = inverse[k], normal[0], normal[1]
 
 
 @njit(inline="always")
-def turn(i, change, normal, paths):
-    """Change the rate of circle i by so much along a normal, in place, m a step."""
-    paths.rate[i, 0] += change * normal[0]
-    paths.rate[i, 1] += change * normal[1]
+def mobility(i, d_x, d_y, paths, result):
+    """Write (w, x, y) of circle i, which is pushed along a unit vector d: its rate changes by 1/m (x, y), along d by w.
 
-
-@njit(inline="always")
-def yields(i, k, paths):
-    """Whether i is a circle that changes its path where it touches k."""
-    n = paths.radius.shape[0]
-    if i >= n or paths.inverse[min(i, n - 1)] == 0.0:
-        return False
-    return k >= n or paths.held[k] >= paths.held[i] or paths.inverse[k] == 0.0
+    What is held slides along what holds it. Where next to nothing is left of d, w is 0.
+    """
+    w, x, y = paths.inverse[i], d_x, d_y
+    along = d_x * paths.block[i, 0] + d_y * paths.block[i, 1]
+    if along > 0.0 and paths.held[i] != FREE:
+        x, y = d_x - along * paths.block[i, 0], d_y - along * paths.block[i, 1]
+        w = w * (1.0 - along * along) if along < BLOCKED else 0.0
+    result[0], result[1], result[2] = w, x, y
 
 
 @njit(inline="always")
@@ -549,21 +566,30 @@ def approach_of(i, k, time, paths, drive, dt):
 
 
 @njit(cache=True, error_model="numpy")
-def keep_energy(i, missed, carrier, normal, step, drive, shifts):
-    """Change the velocity of circle i, in place, for the way, m, that it misses along a normal, since it is held.
+def keep_energy(i, k, impulse, normal, approach, yielding, step, paths, drive, shifts):
+    """Change the velocity of circle i, or of circle k if that is heavier, in place, for the ways that both miss.
 
-    It has the speed that gravity and pushes give in a whole step, but does not go all of its way along them: without
-    the change its energy would be another. Its velocity is half a step behind its place. carrier: velocity of what
-    holds it along the normal, m/s. The change of momentum is added to shifts, (n, 2), N·s; (0, 2) where nobody asks.
+    They have the speeds that gravity and pushes give in a whole step, but where one of them is held they do not go all
+    of their way along gravity and pushes: without the change their energy would be another. Velocities are half a step
+    behind places. impulse: what has changed their rates, times the rest of the step, kg m. approach: before it, m a
+    step. The change of momentum is added to shifts, (n, 2), N·s; (0, 2) where nobody asks.
     """
-    bodies, dt = step.bodies, step.dt
-    g = step.gravity[0] * normal[0] + step.gravity[1] * normal[1]
-    if drive is not None:
-        g += (drive.force[i, 0] * normal[0] + drive.force[i, 1] * normal[1]) / bodies.mass[i]
-    v = bodies.velocity[i, 0] * normal[0] + bodies.velocity[i, 1] * normal[1] - carrier + 0.5 * dt * g
-    if v > 0.0:
-        change = math.sqrt(max(0.0, v * v - 2.0 * g * missed)) - v
-        for axis in range(2):
-            bodies.velocity[i, axis] += change * normal[axis]
-            if shifts.shape[0] > 0:
-                shifts[i, axis] += bodies.mass[i] * change * normal[axis]
+    bodies, dt, n, gained, g = step.bodies, step.dt, paths.radius.shape[0], 0.0, 0.0
+    is_second = yielding[1, 0] > 0.0 and (yielding[0, 0] == 0.0 or bodies.mass[min(k, n - 1)] > bodies.mass[i])
+    heavier = k if is_second else i
+    for side, c in ((0, i), (1, k)):
+        if yielding[side, 0] > 0.0:
+            for axis in range(2):
+                force = bodies.mass[c] * step.gravity[axis]
+                if drive is not None:
+                    force += drive.force[c, axis]
+                gained += force / bodies.mass[c] * impulse * yielding[side, 1 + axis]
+                if c == heavier:
+                    g += force / bodies.mass[c] * normal[axis] * (1.0 - 2.0 * side)
+    sign = -1.0 if is_second else 1.0
+    v = approach / dt + 0.5 * dt * g
+    change = math.copysign(math.sqrt(max(0.0, v * v + 2.0 * gained / bodies.mass[heavier])), v) - v
+    for axis in range(2):
+        bodies.velocity[heavier, axis] += sign * change * normal[axis]
+        if shifts.shape[0] > 0:
+            shifts[heavier, axis] += bodies.mass[heavier] * sign * change * normal[axis]
