@@ -109,3 +109,8 @@ def test_segments_and_belts_are_counted():
     choice = dc.plan(COLUMN.replace(world=world))["segments"]
     assert choice == (True, "the world has 2, 1 have a surface that moves")
     assert dc.plan(COLUMN)["segments"] == (False, "the world has none")
+    moving = replace(world, segment_velocities=[((0.0, 0.0), (3.0, 0.0)), ((0.0, 0.0), (0.0, 0.0))])
+    choice = dc.plan(COLUMN.replace(world=moving), solver=dc.PGS())["segments"]
+    assert choice == (True, "the world has 2, 1 of them move, 1 have a surface that moves")
+    both = replace(moving, surface_speeds=(), segment_velocities=[((1.0, 1.0), (3.0, 2.0)), ((0.0, 0.0), (0.0, -1.0))])
+    assert dc.plan(COLUMN.replace(world=both), solver=dc.PGS())["segments"] == (True, "the world has 2, 2 of them move")
