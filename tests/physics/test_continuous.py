@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.physics.solvers import METHODS
@@ -162,3 +163,25 @@ def test_newtons_cradle_hands_its_speed_on(gap):
     state = scene(np.column_stack([x, np.full(5, 20.0)]), [[5.0, 0.0]] + [[0.0, 0.0]] * 4, world=ELASTIC)
     state = dc.simulate(state, steps=150, solver=dc.PGS(sweeps=1000, tolerance=None)).state
     np.testing.assert_allclose(state.bodies.velocity[:, 0], [0, 0, 0, 0, 5], atol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [120.0, 900.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_every_pair_that_flies_at_each_other_meets_wherever_it_is(seed, speed):
+    """Forty pairs, in all directions and at all distances; each is ordered along its line as before the step."""
+    rng, dt = np.random.default_rng(seed), 0.01
+    cells = rng.permutation(64)[:40]
+    middle = 30.0 * np.column_stack([cells // 8, cells % 8]) + rng.uniform(-4.0, 4.0, (40, 2)) + 30.0
+    angle, radius = rng.uniform(0.0, 2.0 * np.pi, 40), rng.uniform(0.05, 1.0, (40, 2))
+    along, share = np.column_stack([np.cos(angle), np.sin(angle)]), rng.uniform(0.0, 1.0, 40)
+    gap = rng.uniform(0.1, 0.9, 40) * speed * dt
+    apart = (radius.sum(axis=1) + gap)[:, None] * along
+    velocity = np.concatenate([(share * speed)[:, None] * along, -((1.0 - share) * speed)[:, None] * along])
+    state = circles_at(
+        np.concatenate([middle - 0.5 * apart, middle + 0.5 * apart]), radius=radius.T.ravel(), velocity=velocity,
+        gravity=(0.0, 0.0), friction=0.0, restitution=1.0, box=(0.0, 0.0, 300.0, 300.0), dt=dt,
+    )  # fmt: skip
+    after = dc.simulate(state, steps=2, solver=dc.PGS(), record=1).trajectory.positions[1:]
+    for position in after:
+        distance = np.einsum("ij,ij->i", position[40:] - position[:40], along)
+        assert (distance > 0.9 * radius.sum(axis=1)).all()

@@ -9,7 +9,7 @@ from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.physics import load as load_module
-from deep_contact.physics.load import load_of
+from deep_contact.physics.load import load_of, with_time_step
 
 PRESETS = "preview", "fast", "balanced", "accurate", "reference"
 
@@ -162,6 +162,35 @@ def test_a_bounce_keeps_its_height_whatever_the_caller_does_to_the_step(steps, d
         state = dc.simulate(state, **{"solver": dc.PGS(), **how}).state
         highest.append(state.bodies.position[0, 1])
     assert max(highest[-200:]) == pytest.approx(3.0, rel=0.01)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_what_flies_has_the_velocity_of_half_a_step_earlier_and_gets_that_of_another_step(e):
+    """v(t − Δt / 2) of the leapfrog, under gravity and a push, where e > 0; what touches and what is fixed stays."""
+    circles = [[5.0, 5.0], [9.0, 1.0], [14.0, 5.0]]
+    scene = circles_at(circles, velocity=[[1.0, 2.0], [0, 0], [0, 0]], fixed=[False, False, True], restitution=e)
+    push = np.array([[3.0, 1.0], [0.0, -1.0], [5.0, 5.0]])
+    state = dc.simulate(scene, steps=3, solver=dc.PGS(substeps=2), push=push).state
+    gained = (np.array([0.0, -9.81]) + push[0] / scene.bodies.mass[0]) * 0.5 * (e > 0.0)
+    for dt in (0.002, 0.03):
+        after = with_time_step(state, dt).bodies.velocity - state.bodies.velocity
+        np.testing.assert_allclose(after, [gained * (0.01 - dt) / 2, [0, 0], [0, 0]], rtol=1e-9, atol=1e-12)
+    again = dc.simulate(state, steps=0, solver=dc.PGS(substeps=8), push=push).state.bodies.velocity[0]
+    np.testing.assert_allclose(again - state.bodies.velocity[0], gained * (0.01 / 2 - 0.01 / 8), rtol=1e-9, atol=1e-12)
+    assert with_time_step(state, 0.01) is state
+    early = with_time_step(dc.find_contacts(scene), 0.002)
+    np.testing.assert_array_equal(early.bodies.velocity, scene.bodies.velocity)
+
+
+def test_impulses_of_a_solved_state_are_kept_and_its_starts_are_scaled():
+    state = dc.simulate(dc.column(2), steps=5, solver=dc.PGS()).state
+    starts = state.contacts.normal_start
+    unsolved, solved = (with_time_step(state.replace(solved=is_so), 0.03).contacts for is_so in (False, True))
+    for contacts in (unsolved, solved):
+        np.testing.assert_allclose(contacts.normal_start, 3.0 * starts)
+        assert contacts.position is state.contacts.position
+    np.testing.assert_allclose(unsolved.normal_impulse, 3.0 * state.contacts.normal_impulse)
+    assert solved.normal_impulse is state.contacts.normal_impulse
 
 
 @pytest.mark.parametrize("accuracy", [None, "accurate"])
