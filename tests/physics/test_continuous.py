@@ -185,3 +185,39 @@ def test_every_pair_that_flies_at_each_other_meets_wherever_it_is(seed, speed):
     for position in after:
         distance = np.einsum("ij,ij->i", position[40:] - position[:40], along)
         assert (distance > 0.9 * radius.sum(axis=1)).all()
+
+
+@pytest.mark.parametrize("overlap", [0.3, 1.2])
+@pytest.mark.parametrize("angle", [0.0, 2.0])
+def test_what_is_deep_in_another_and_fast_does_not_pass_it(overlap, angle):
+    """Nor the wall in which it begins."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+    centres = np.outer([0.0, 2.0 - overlap], along) + [30.0, 20.0]
+    run = dc.simulate(scene(centres, np.outer([150.0, -100.0], along)), steps=6, solver=dc.PGS(), record=1).trajectory
+    assert (np.einsum("tj,j->t", run.positions[:, 1] - run.positions[:, 0], along) > 0.0).all()
+    beside = scene([[1.0 - 0.5 * overlap, 20.0]], [[-150.0, 0.0]])
+    assert (dc.simulate(beside, steps=6, solver=dc.PGS(), record=1).trajectory.positions[..., 0] > 0.0).all()
+
+
+def test_velocities_of_a_solution_are_of_discs_of_any_radius():
+    """I ω = r P_t: of a disc of 0.25 m that is thrown along the floor."""
+    state = dc.find_contacts(scene([[20.0, 0.25]], [[3.0, -1.0]], radius=0.25, world=replace(NO_GRAVITY, friction=0.5)))
+    solution = dc.solve_contacts(state, solver=dc.PGS())
+    p_n, p_t, (mass,), (inertia,) = *solution[:2], state.bodies.mass, state.bodies.inertia
+    arm = 0.25 + 0.5 * state.contacts.separation[0]
+    assert p_n[0] == pytest.approx(mass * 1.0, rel=1e-6)
+    assert abs(p_t[0]) == pytest.approx(min(0.5 * p_n[0], 3.0 / (1.0 / mass + arm**2 / inertia)), rel=1e-6)
+    assert solution.angular_velocities[0] == pytest.approx(-arm * abs(p_t[0]) / inertia, rel=1e-6)
+    np.testing.assert_allclose(solution.velocities, [[3.0 - abs(p_t[0]) / mass, 0.0]], atol=1e-6)
+
+
+@pytest.mark.parametrize("gravity", [(0.0, -9.81), (7.0, -3.0), (-9.81, 0.0), (2.0, 9.0)])
+@pytest.mark.parametrize("velocity", [(70.0, 45.0), (-150.0, 80.0)])
+def test_elastic_bounces_of_a_fast_circle_keep_their_energy_however_gravity_lies(gravity, velocity):
+    """½ v² − g · x, with v half a step later: velocities of the leapfrog are those of half a step before."""
+    world = replace(ELASTIC, gravity=gravity)
+    run = dc.simulate(scene([[25.0, 17.0]], [velocity], world=world), steps=300, solver=dc.PGS(), record=1).trajectory
+    late = run.velocities[:, 0] + 0.5 * 0.01 * np.array(gravity)
+    energy = 0.5 * (late**2).sum(axis=1) - run.positions[:, 0] @ gravity
+    np.testing.assert_allclose(energy, energy[0], rtol=2e-5)
+    assert np.count_nonzero(np.abs(np.diff(run.velocities[:, 0], axis=0)).max(axis=1) > 1.0) > 8

@@ -174,6 +174,33 @@ def test_elastic_bounces_keep_their_height_above_what_rests_and_what_rises(groun
         assert run.trajectory.dissipated.sum() == pytest.approx(0.0, abs=0.02 * 10.0 * above * scene.bodies.mass[0])
 
 
+@pytest.mark.parametrize("pull", [-20.0, 0.0, 9.81])
+@pytest.mark.parametrize("angle", ANGLES)
+@pytest.mark.parametrize("speed", [8.0, 90.0])
+@pytest.mark.parametrize("thing", ["pegs", "segments", "walls that go along"])
+def test_an_elastic_ball_between_two_things_keeps_its_energy_slow_or_fast(thing, speed, angle, pull):
+    """Under gravity along its line, in the frame of what goes along at 0.5 m/s. It turns round five times."""
+    out, left = turned(angle)
+    own = 0.5 if "along" in thing else 0.0
+    world = FREE | {"restitution": 1.0, "gravity": tuple(pull * out)}
+    centres, fixed, radius = [0.3 * out], [False], [0.5]
+    if thing == "pegs":
+        centres, fixed, radius = [*centres, 4.0 * out, -4.0 * out], [False, True, True], [0.5, 1.0, 1.0]
+    else:
+        ends = [(at * out - 2.0 * left, at * out + 2.0 * left) for at in (3.0, -3.0)]
+        world |= {"segments": ends, "segment_velocities": [(own * out, own * out)] * 2 if own else ()}
+    velocity = [(speed + own) * out, *[np.zeros(2)] * (len(fixed) - 1)]
+    scene = circles_at(centres, radius=radius, velocity=velocity, fixed=fixed, **world)
+    push = np.zeros((len(fixed), 2))
+    run = dc.simulate(scene, steps=int(2800 / speed), solver=WHOLE, push=push, record=1).trajectory
+    way = run.positions[:, 0] @ out - own * run.times
+    late = run.velocities[:, 0] @ out - own + 0.5 * scene.dt * pull
+    energy = 0.5 * late**2 - pull * way
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-3)
+    assert np.count_nonzero(np.diff(np.sign(late))) >= 4
+    assert np.abs(way).max() < 2.6
+
+
 # ---- the division by motion ----
 
 
