@@ -112,7 +112,8 @@ def main() -> None:
         for part in ("deep_contact", "tests", "scripts", "models", "data"):
             shutil.copytree(ROOT / part, folder / part)
         shutil.copy(ROOT / "setup.cfg", folder)
-        outcome, output = run_pytest(folder, " ".join(named.values()) or TESTS, 4 * LIMIT_S)
+        tests = dict.fromkeys(" ".join(named.values()).split())
+        outcome, output = run_pytest(folder, " ".join(tests) or TESTS, 4 * LIMIT_S)
         if outcome == "killed":
             raise SystemExit(f"expected tests that pass without a mutant, got {FAILED.findall(output) or output}")
         folders.put(folder)
