@@ -433,6 +433,41 @@ def test_half_the_step_of_a_heaps_reference_is_half_of_it(heap):
     assert twice == once | {"substeps": 2 * once["substeps"]}
 
 
+@pytest.mark.parametrize(
+    ("setting", "name"),
+    [
+        ({"method": "PGS", "sweeps": 1, "dt": 0.01}, "PGS, 1 sweep, Δt"),
+        ({"method": "PGS", "sweeps": 2, "dt": 0.005, "substeps": 4}, "PGS, 2 sweeps, substeps=4, Δt / 2"),
+        ({"method": "PSOR", "omega": 1.2, "sweeps": 3, "dt": 0.04}, "PSOR, 3 sweeps, omega=1.2, 4 Δt"),
+        ({"engine": "Box2D v3", "sweeps": 4, "dt": 0.01 / 3}, "Box2D v3, 4 iterations, Δt / 3"),
+        ({"engine": "pymunk", "sweeps": 1, "dt": 0.01}, "pymunk, 1 iteration, Δt"),
+    ],
+)
+def test_a_setting_has_a_name_that_tells_all_of_it(setting, name):
+    assert module.name_of(setting, 0.01) == name
+    if "method" in setting:
+        assert module.setting_of(module.solver_of(setting), setting["dt"]) == setting
+        assert module.setting_of(module.solver_of(setting), 0.01, "support")["start"] == "support"
+
+
+def test_a_picture_has_our_settings_with_their_front_and_other_engines_beside_it():
+    """The front goes from the cheapest to ever smaller errors."""
+    found = [
+        {"us": us, "group": group, "errors": {"energy": (error, 0.5 * error, 1.5 * error)}}
+        for us, group, error in [(3.0, "PGS", 6.0), (1.0, "PGS", 9.0), (2.0, "NNCG", 9.5), (4.0, "PGS", 7.0),
+                                 (0.5, "Box2D v3", 1.0)]
+    ]  # fmt: skip
+    _, ax = module.plotting.subplots()
+    module.draw_plane(ax, found, "energy")
+    fronts = [line for line in ax.lines if line.get_drawstyle() == "steps-post"]
+    assert [line.get_xydata().tolist() for line in fronts] == [[[1.0, 9.0], [3.0, 6.0]]]
+    grey = [bars[0].get_color() == module.plotting.GREY for bars in ax.containers]
+    assert grey == [False, False, False, False, True]
+    dotted = sorted(line.get_ydata()[0] for line in ax.lines if line.get_linestyle() == ":")
+    assert dotted == sorted(most["energy"] for most in dc.presets.PRESETS.values())
+    assert [text.get_text() for text in ax.texts] == list(dc.presets.PRESETS)
+
+
 def test_errors_of_quantities_are_shares_that_are_shown_in_percent():
     trade = by_hand(rows=rows(energy=((3.0, 2.0, 4.0),) * 2, q=((0.05, 0.04, 0.06),) * 2))
     header, line, _ = trade.table()

@@ -170,6 +170,8 @@ def test_nothing_sleeps_on_what_moves_and_all_else_does(kind):
         scene = circles_at([[0.0, 1.5], [9.0, 1.0]], **BED, **wall)
     run = dc.simulate(scene, steps=200, solver=RESTING, sleep=True)
     assert run.contacts[-1] == {"wall that creeps": 1}.get(kind, 2)
+    np.testing.assert_array_equal(run.state.bodies.velocity[-1], 0.0)
+    np.testing.assert_allclose(run.state.bodies.position[-1], [9.0, 1.0], atol=0.02)
     if kind != "roller":
         rise = (run.state.world.segments or [(0, run.state.bodies.position[0, 1])])[0][1]
         assert rise == pytest.approx({"wall that creeps": 0.5}.get(kind, 1.0) + 2e-3)
