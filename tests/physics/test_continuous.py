@@ -221,3 +221,18 @@ def test_elastic_bounces_of_a_fast_circle_keep_their_energy_however_gravity_lies
     energy = 0.5 * (late**2).sum(axis=1) - run.positions[:, 0] @ gravity
     np.testing.assert_allclose(energy, energy[0], rtol=2e-5)
     assert np.count_nonzero(np.abs(np.diff(run.velocities[:, 0], axis=0)).max(axis=1) > 1.0) > 5
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("way", [-1, 1])
+def test_a_fast_circle_meets_what_is_many_cells_away_in_a_crowd_of_small_ones(axis, way):
+    """10 m a step along a row that is empty but for one circle, 8 m away."""
+    grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0)), axis=-1).reshape(-1, 2)
+    row = grid[:, 1 - axis] == 7.0
+    line = np.array([[10.0 - 5.0 * way, 7.0], [10.0 + 3.0 * way, 7.0]])[:, :: 1 - 2 * axis]
+    speeds = np.zeros((len(grid[~row]) + 2, 2))
+    speeds[-2, axis] = 1000.0 * way
+    state = scene(np.concatenate([grid[~row], line]) + 5.0, speeds, radius=0.1)
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position[-2:, axis]
+    assert (after[1] - after[0]) * way > 0.1
+    assert (after[0] - line[0, axis] - 5.0) * way > 7.0
