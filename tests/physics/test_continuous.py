@@ -236,3 +236,17 @@ def test_a_fast_circle_meets_what_is_many_cells_away_in_a_crowd_of_small_ones(ax
     after = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position[-2:, axis]
     assert (after[1] - after[0]) * way > 0.1
     assert (after[0] - line[0, axis] - 5.0) * way > 7.0
+
+
+@pytest.mark.parametrize("signs", [(-1, -1), (-1, 1), (1, -1), (1, 1)])
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_fast_circle_that_flies_into_a_corner_meets_the_nearer_wall_first(signs, first):
+    """Of a box of 60 m × 40 m: after half of its way it touches one wall, after three quarters it would the other."""
+    gaps = np.array([3.0, 3.0])
+    gaps[first] = 2.0
+    corner = np.where(np.array(signs) > 0, [60.0, 40.0], 0.0)
+    state = scene([corner - np.array(signs) * (1.0 + gaps)], [np.array(signs) * 400.0])
+    run = dc.simulate(state, steps=3, solver=dc.PGS(), record=1).trajectory
+    sunk = 1.0 - np.abs(corner - run.positions[:, 0])
+    assert sunk.max() < 0.02
+    assert run.positions[1, 0, first] == pytest.approx(corner[first] - signs[first], abs=0.02)
