@@ -96,7 +96,7 @@ class Simulation(NamedTuple):
             raise ValueError("trajectory: expected a run of simulate(…, record=…), got one that recorded no states")
         return self.recorded
 
-    def force_on(self, part: str, index: int | Sequence[int] | None = None) -> np.ndarray:
+    def force_on(self, part: str, index: int | Sequence[int] | np.ndarray | None = None) -> np.ndarray:
         """The mean force of contacts between each recorded state and the next, (T − 1, 2), N.
 
         Force k is the mean from times[k] to times[k + 1] of the trajectory, over all steps and substeps, rebounds
@@ -274,7 +274,7 @@ class Simulator:
         self._change(self.state.with_bodies(add=bodies))
         return np.arange(first, self._scene.bodies.count)
 
-    def remove(self, which: Sequence) -> np.ndarray:
+    def remove(self, which: Sequence | np.ndarray) -> np.ndarray:
         """Take circles away, by their indices or by a flag for each (`State.with_bodies`). Who sleeps wakes.
 
         Returns the new index of each circle that there was, (n,); −1 for those that are gone.

@@ -24,6 +24,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from timeit import timeit
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -55,6 +56,9 @@ from deep_contact.state import State, notebook
 from deep_contact.state.scales import mean
 from deep_contact.stiffness import Stiffness, stiffness
 from deep_contact.validation import brief, expect, integer, number, one_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FRAMES = 120
 """Least observations of a run; a shorter one has as many as it has steps."""
@@ -376,7 +380,7 @@ class Trade:
         header, *rows = self.table()
         return notebook.shown(self._title(), [*rows, *((note,) for note in self.notes)], header=header)
 
-    def plot(self, *names: str):
+    def plot(self, *names: str) -> Figure:
         """The figure of errors over the time of a step: settings, their front, other engines, tolerances.
 
         names: of errors, a panel each; by default the energy and the deepest penetration, and the user's quantities.

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, Union, get_args
 
 import numpy as np
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
 Classical = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad"]
 Name = Literal[Classical, "sph", "sph spline", "sph consistent", "cnn", "learned support"]
-Start = Name | WarmStart | Path | None
+Start = Union[Name, WarmStart, "LearnedModel", Path, None]
 """What `warm_start=` takes: a name, a callable, a `LearnedModel` or the path of its file; None is "none"."""
 
 

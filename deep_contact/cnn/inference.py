@@ -7,12 +7,13 @@ only for networks on images, and for `LearnedModel.network`.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from html import escape
 from pathlib import Path
 from threading import RLock
+from typing import Any, overload
 
 import numpy as np
 
@@ -100,7 +101,17 @@ class LearnedModel:
             raise ValueError(f"output: expected shape {(1, *shape)}, got {pixels.shape}")
         return _cut(read(pixels.reshape(shape)), state, project)
 
-    def predict(self, state: State | Sequence[State], *, project: bool = True, problem: StepProblem | None = None):
+    @overload
+    def predict(
+        self, state: State, *, project: bool = True, problem: StepProblem | None = None
+    ) -> tuple[np.ndarray, np.ndarray]: ...
+
+    @overload
+    def predict(
+        self, state: Iterable[State], *, project: bool = True, problem: StepProblem | None = None
+    ) -> list[tuple[np.ndarray, np.ndarray]]: ...
+
+    def predict(self, state, *, project=True, problem=None):
         """(λ_n, λ_t) at the state's contacts, (m,) each, N·s; for several states, a list of such pairs.
 
         project: on λ_n ≥ 0 and |λ_t| ≤ μ λ_n, else as the network has them. problem: of `step_problem(state)`, if it
@@ -186,7 +197,7 @@ class FarFieldModel(LearnedModel):
     It warns of a state that holds none: `warm_start.LearnedSupport` predicts from positions alone.
     """
 
-    def predict(self, state, *, project=True, problem=None):
+    def predict(self, state, *, project=True, problem=None) -> Any:
         contacts = state.contacts if isinstance(state, State) and problem is None else None
         if contacts is not None and contacts.count and not contacts.have_past:
             hint = "expected impulses, which this network corrects, got none; warm_start.LearnedSupport needs none"

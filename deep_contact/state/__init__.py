@@ -66,9 +66,9 @@ class World:
     friction: float = constants.FRICTION
     restitution: float = constants.RESTITUTION
     scales: ContactScales | None = None
-    segments: Sequence = ()
-    surface_speeds: Sequence = ()
-    segment_velocities: Sequence = ()
+    segments: Sequence | np.ndarray = ()
+    surface_speeds: Sequence | np.ndarray = ()
+    segment_velocities: Sequence | np.ndarray = ()
 
     def __post_init__(self):
         vars(self).update(checked_world(self))  # past the dataclass, which is frozen
@@ -141,7 +141,7 @@ class State:
             check_kept_contacts(self, changed)
         return changed
 
-    def with_bodies(self, *, add: Bodies | None = None, remove: Sequence = ()) -> State:
+    def with_bodies(self, *, add: Bodies | None = None, remove: Sequence | np.ndarray = ()) -> State:
         """The state without some circles and with others after the rest, ready to go on.
 
         Contacts of the circles that stay keep their impulses; those of the added are found. add: of `make_bodies`.
