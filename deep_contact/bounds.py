@@ -22,6 +22,7 @@ from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import contact_problem
 from deep_contact.physics.ready import ready
 from deep_contact.state import State, StateWithContacts
+from deep_contact.state.equality import by_value
 from deep_contact.validation import expect, integer
 
 EXACT = 1e-8
@@ -40,6 +41,7 @@ OPTIONS: dict[str, bool | int | float | str] = {
 """Of HiGHS: primal simplex, in silence."""
 
 
+@by_value
 class ForceBounds(NamedTuple):
     """Bounds on the impulses of k contacts; a force is an impulse over Δt. Without a bound it is ±infinity.
 

@@ -41,8 +41,9 @@ from deep_contact.state.checks import (
     checked_velocities,
     warn_of_jumps,
 )
+from deep_contact.state.equality import by_value
 from deep_contact.trajectory import Trajectory
-from deep_contact.validation import brief, expect, flag, integer, one_of, warn
+from deep_contact.validation import brief, expect, flag, integer, list_of, one_of, suggesting, warn
 from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
 
 MOST_WORK = 20_000_000
@@ -51,6 +52,9 @@ MOST_WORK = 20_000_000
 SECONDS = 0.2
 """Time that such a call should take: between calls Ctrl-C is raised."""
 
+MOST_STEPS = 1_000_000_000
+"""Of a run, whose result has 40 bytes a step."""
+
 KEPT = 20_000
 """Most circles of a run whose memory is kept for the next call of `simulate`."""
 
@@ -58,6 +62,7 @@ TASKS = 16
 """Tasks for each worker of `simulate_many(jobs=…)`. Where an executor replaces a lost worker, it repeats one task."""
 
 
+@by_value
 class Simulation(NamedTuple):
     """A finished run.
 
@@ -152,6 +157,7 @@ class Simulation(NamedTuple):
         return summary | ({} if self.recorded is None else {"record": notebook.counted(len(self.recorded), "state")})
 
 
+@suggesting
 class Simulator:
     """A scene that lives: it does steps, keeps what the engine remembers of them, and can be changed between them.
 
@@ -165,6 +171,9 @@ class Simulator:
     | velocities | of the centres, likewise                                  | (n, 2) | m/s  |
     | time       |                                                           |        | s    |
     | state      | a `State` of its own arrays, made when it is asked for    |        |      |
+
+    Nobody can write into the views: `set`, `add` and `remove` change the scene. To put circles elsewhere, change
+    `state`, `dc.Simulator(live.state.replace(bodies=…, contacts=None))`.
 
     Raises ValueError on arguments that do not hold together.
     """
@@ -188,7 +197,7 @@ class Simulator:
 
     def step(self, steps: int = 1) -> None:
         """Do so many steps. Raises FloatingPointError where the solver diverges beyond all numbers."""
-        done, steps = 0, integer("steps", steps)
+        done, steps = 0, integer("steps", steps, hint="; seconds are steps of Δt, which set(dt=…) changes")
         while done < steps:
             count = min(steps - done, self._affordable())
             if count == 1:
@@ -212,6 +221,7 @@ class Simulator:
     def state(self) -> StateWithContacts:
         return self._state(np.ndarray.copy)
 
+    @suggesting
     def set(
         self, *, gravity=None, friction=None, restitution=None, dt=None, segments=None, segment_velocities=None,
         push=None,
@@ -488,6 +498,7 @@ def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, War
     return state.replace(solver=solver, preset=preset), start
 
 
+@suggesting
 def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndarray] = "builtin") -> ContactSolution:
     """Solve the contact problem of a state: gravity for Δt, then the impulses. The state stays as it is.
 
@@ -500,6 +511,7 @@ def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndar
     return engine.solve(state, solver, *starting_impulses(start, state, solver))
 
 
+@suggesting
 def step(state: State, *, solver=None, warm_start: Start = "builtin") -> StateWithContacts:
     """One step: the state Δt later, with its contacts found and the solved impulses carried over to them.
 
@@ -509,6 +521,7 @@ def step(state: State, *, solver=None, warm_start: Start = "builtin") -> StateWi
     return simulate(state, steps=1, solver=solver, warm_start=warm_start).state
 
 
+@suggesting
 def simulate(
     state: State,
     *,
@@ -586,7 +599,7 @@ class RunOptions(NamedTuple):
 def _simulate(state: State, options: RunOptions, stopped: threading.Event | None = None) -> Simulation:
     """`simulate`, which ends with a KeyboardInterrupt once the event `stopped` is set."""
     record, forces, until, on_step = options.record, options.forces, options.until, options.on_step
-    steps = integer("steps", options.steps)
+    steps = integer("steps", options.steps, most=MOST_STEPS, hint="; Δt is dt=…")
     if record is not None:
         integer("record", record, least=1)
     expect(not flag("forces", forces) or record is not None, "forces: expected False without record=…, got True")
@@ -672,6 +685,7 @@ def _same_bits(one: np.ndarray, other: np.ndarray) -> bool:
     return one.tobytes() == other.tobytes() if one.size < 4096 else np.array_equal(one, other)
 
 
+@suggesting
 def simulate_many(
     states: Iterable[State],
     *,
@@ -697,7 +711,7 @@ def simulate_many(
     expect(threads is None or jobs is None, f"threads: expected none beside jobs, got {threads!r}")
     threads = cores() if threads is None else integer("threads", threads, least=1)
     start = warm_start_of(warm_start)
-    fits, states = isinstance(start, (Builtin, NoStart)), list(states)
+    fits, states = isinstance(start, (Builtin, NoStart)), list_of("states", State, states)
     expect(fits, f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
     options = RunOptions(
         steps=steps, dt=dt, solver=solver, warm_start=start, accuracy=accuracy, sleep=sleep, record=record,

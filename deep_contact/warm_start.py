@@ -276,6 +276,11 @@ def warm_start_of(start: Start) -> WarmStart:
 
     Raises ValueError on others.
     """
+    if isinstance(start, type):
+        raise ValueError(f"warm_start: expected an instance, such as {start.__name__}(), got the class")
+    if any(kind.__module__.partition(".")[0] == "keras" for kind in type(start).__mro__):
+        hint = "LearnedModel(source=…, spec=ImageSpec()) of deep_contact.cnn makes it a start"
+        raise ValueError(f"warm_start: expected a start, got a {type(start).__name__} of Keras; {hint}")
     if callable(start):
         return start
     if is_network(start):

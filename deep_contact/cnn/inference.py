@@ -25,6 +25,8 @@ from deep_contact.cnn.registry import network_file
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import StepProblem
 from deep_contact.state import State
+from deep_contact.state.equality import by_value
+from deep_contact.validation import brief, expect, list_of
 
 _compiling = RLock()
 """Held while a network is built or traced, by one thread for all that wait for it."""
@@ -51,7 +53,8 @@ class Card(dict):
         return "\n".join(f"{name}: {text if len(text) <= 100 else f'{text[:99]}…'}" for name, text in texts)
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@by_value
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LearnedModel:
     """A network and what is needed to use it: state in, impulses at its contacts out.
 
@@ -72,6 +75,13 @@ class LearnedModel:
     box: tuple[float, float] | None = None
     path: Path | None = None
     _compiled: dict = field(default_factory=dict, init=False, compare=False)
+
+    def __post_init__(self):
+        is_network = isinstance(self.source, StoredNetwork) or hasattr(self.source, "input_shape")
+        hint = "keras.models.load_model reads a file"
+        expect(is_network, f"source: expected a keras.Model, got {brief(self.source)}; {hint}")
+        is_spec = isinstance(self.spec, (ImageSpec, FarFieldSpec))
+        expect(is_spec, f"spec: expected what its images are made of, such as ImageSpec(), got {brief(self.spec)}")
 
     @cached_property
     def network(self):
@@ -118,7 +128,8 @@ class LearnedModel:
         is at hand; a far-field network corrects the impulses of its rows. Raises as `input`.
         """
         if not isinstance(state, State):
-            return [self.predict(one, project=project) for one in state]
+            states = list_of("state", State, state)
+            return [self.predict(one, project=project) for one in states]
         if state.contacts is not None and state.contacts.count == 0:
             return np.zeros(0), np.zeros(0)
         image, read = self.seen(state, problem)
@@ -190,7 +201,7 @@ class LearnedModel:
         return f"<table>{rows}</table>"
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class FarFieldModel(LearnedModel):
     """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds.
 

@@ -36,10 +36,12 @@ from deep_contact.state.checks import (
     warn_of_jumps,
 )
 from deep_contact.state.scales import ContactScales, contact_scales
+from deep_contact.validation import suggesting
 
 S, T = TypeVar("S", bound="State"), TypeVar("T")
 
 
+@suggesting
 @dataclass(frozen=True, kw_only=True)
 class World:
     """The box, segments, and the constants that hold for every contact.
@@ -52,7 +54,8 @@ class World:
     segments: any number of ((x, y), (x, y)), m: lines beside the box, felt from both sides and at their ends,
     with the skin of the walls (edge shapes of Box2D). An end that lies on another one or on a wall, to 1e-4 of the
     circle's radius, is not felt: a circle rolls over the joint as over a chain of Box2D, and so it does over a gap of a
-    fiftieth of its radius. Kept as (x_0, y_0, x_1, y_1) each.
+    fiftieth of its radius. Kept as (x_0, y_0, x_1, y_1) each, which is taken as well: np.reshape(segments, (-1, 2, 2))
+    has the points again.
 
     surface_speeds: of the segments, m/s each, towards their second ends: a belt, or the wall of a drum that turns. The
     segment stays where it is, and friction drags what touches it. () where all surfaces rest.
@@ -79,6 +82,7 @@ class World:
         return not any(beyond_limits(world=self, scales=self.scales))
 
 
+@suggesting
 @dataclass(frozen=True, kw_only=True, repr=False)
 class State:
     """A moment of a simulation: the bodies before a step, and the contacts found where they are.
