@@ -101,8 +101,8 @@ WRONG = {
     "radius of 0": (lambda: dc.make_bodies([[1, 1]], radius=0), "radius.*expected a number > 0, got 0"),
     "no time step": (lambda: dc.simulate(SCENE, dt=0), "dt: expected a finite number > 0, got 0"),
     "a record of 0": (lambda: dc.simulate(SCENE, record=0), "record: expected an integer >= 1, got 0"),
-    "no sweeps": (lambda: dc.PGS(sweeps=0), "sweeps: expected an integer >= 1, got 0"),
-    "a text for sweeps": (lambda: dc.PGS(sweeps="many"), "sweeps: expected an integer >= 1, got 'many'"),
+    "sweeps below 0": (lambda: dc.PGS(sweeps=-1), "sweeps: expected an integer >= 0, got -1"),
+    "a text for sweeps": (lambda: dc.PGS(sweeps="many"), "sweeps: expected an integer >= 0, got 'many'"),
     "positions of three": (
         lambda: dc.make_bodies([[0, 0, 0]]),
         r"position: expected numbers of shape \(n, 2\), x and y",

@@ -37,9 +37,9 @@ run = dc.simulate(dc.circles_in_box(40, size=20, seed=1), steps=200, record=20)
 frame = pandas.DataFrame(run.trajectory.table())  # a row for each circle and time
 print(frame.groupby("time")["y"].max().tail(3))
 pandas.DataFrame(run.state.bodies.table()).to_csv("circles.csv", index=False)
-table = pandas.read_csv("circles.csv", float_precision="round_trip")
+table = pandas.read_csv("circles.csv")
 bodies = dc.make_bodies(table[["x", "y"]], radius=table["radius"], mass=table["mass"])
-print("the same positions:", np.array_equal(bodies.position, run.state.bodies.position))
+print("the same positions:", np.allclose(bodies.position, run.state.bodies.position))
 
 write_xyz("run.xyz", run.trajectory)
 first = run.trajectory[0].bodies
