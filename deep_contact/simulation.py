@@ -52,8 +52,8 @@ MOST_WORK = 20_000_000
 SECONDS = 0.2
 """Time that such a call should take: between calls Ctrl-C is raised."""
 
-MOST_STEPS = 1_000_000_000
-"""Of a run, whose result has 40 bytes a step."""
+MOST_STEPS = 10**12
+"""Most steps of a run. Its result has 40 bytes a step, so that memory ends before."""
 
 KEPT = 20_000
 """Most circles of a run whose memory is kept for the next call of `simulate`."""

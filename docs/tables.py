@@ -325,8 +325,7 @@ def old_on(page: str, text: str) -> str:
     filled(page, text)
     used = sorted(measured.USED | set(re.findall(r"data/reference/(\w+)\.png", text)))
     old = [f"<li><code>{name}</code>: {why}</li>" for name in used if (why := staleness.why_old(name))]
-    count = f"{len(old)} of the {len(used)} results behind this page"
-    title = f"Before a release they are measured again: the code has changed since {count} were measured"
+    title = f"{len(old)} of the {len(used)} results behind this page were made before the code last changed: which, and why"
     return f"<details><summary>{title}</summary><ul>{''.join(old)}</ul></details>\n" if old else ""
 
 

@@ -91,7 +91,7 @@ WRONG = {
         lambda: dc.simulate(SCENE, steps=0.5),
         "steps: expected an integer >= 0, got 0.5; Δt is dt=…",
     ),
-    "steps without end": (lambda: dc.simulate(SCENE, steps=10**30), "steps: expected an integer <= 1000000000"),
+    "steps without end": (lambda: dc.simulate(SCENE, steps=10**30), "steps: expected an integer <= 1000000000000"),
     "cells without end": (
         lambda: dc.mean_stress(STATE, 1e-300),
         "spacing: expected at most 10,000,000 cells in the box",
