@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import sys
+import threading
 import types
 from collections.abc import Sequence
+from decimal import Decimal
 from pathlib import Path
 
 from deep_contact.constants import VERSION
@@ -45,7 +48,7 @@ is not installed (Keras and TensorFlow in a small environment), 130 Ctrl-C; else
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; its exit status, see `STATUS`."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    arguments = [_without_exponent(word) for word in (sys.argv[1:] if arguments is None else arguments)]
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
     parser, commands = _parsers()
@@ -75,6 +78,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         print(f"{words}: {error}", file=sys.stderr)
         return NO_PACKAGE
+
+
+def _without_exponent(word: str) -> str:
+    """-1e1 as -10: argparse takes a negative number with an exponent for an option."""
+    is_number = re.fullmatch(r"-(\d+\.?\d*|\.\d+)[eE][-+]?\d{1,3}", word)
+    return format(Decimal(word), "f") if is_number else word
 
 
 def status_of(error: Exception) -> int:
@@ -228,7 +237,8 @@ def _trade(args) -> int:
         make = make if args.bodies is None else partial(make, args.bodies)
         scene = lambda seed: make(seed=seed)  # noqa: E731
     names = ("steps", "seeds", "minutes", "engines", "jobs")
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what has been measured is kept, as after Ctrl-C
+    if threading.current_thread() is threading.main_thread():  # no other may ask for signals
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # what has been measured is kept, as after Ctrl-C
     trade = dc.measure_trade(scene, **{name: getattr(args, name) for name in names})
     print(trade)
     if args.out is not None:

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deep_contact.state import notebook, read_only
-from deep_contact.validation import expect, integer, number
+from deep_contact.state import State, notebook, read_only
+from deep_contact.state.equality import by_value
+from deep_contact.validation import expect, integer, list_of, number
 
 if TYPE_CHECKING:
     from deep_contact.io.simulation_h5 import StoredSimulation
-    from deep_contact.state import State, StateWithContacts, World
+    from deep_contact.state import StateWithContacts, World
 
 MOST_FRAMES = 40
 """Of the film in a notebook, which keeps it."""
@@ -31,6 +32,7 @@ def _array(*names: str) -> property:
     return property(get)
 
 
+@by_value
 @dataclass(frozen=True, repr=False, eq=False)
 class Trajectory:
     """T states of one run of n circles, with M contacts in all. `len`, indexing and iteration give its states.
@@ -130,6 +132,17 @@ class Trajectory:
         late = half * (self.velocities @ np.array(self.world.gravity)) @ self._free_mass
         return np.diff(self.work - self.energies.sum(axis=1) - late)
 
+    def table(self) -> dict[str, np.ndarray]:
+        """A row for each circle at each time, (T n,) a column: time, circle, and the columns of `Bodies.table`."""
+        count, n = self.positions.shape[:2]
+        of_circles = {name: np.tile(self.stored.arrays[name], count) for name in ("mass", "radius")}
+        return {
+            "time": np.repeat(self.times, n), "circle": np.tile(np.arange(n), count),
+            "x": self.positions[..., 0].ravel(), "y": self.positions[..., 1].ravel(),
+            "v_x": self.velocities[..., 0].ravel(), "v_y": self.velocities[..., 1].ravel(),
+            "angle": self.angles.ravel(), "spin": self.spins.ravel(), **of_circles,
+        }  # fmt: skip
+
     def film(self, path, *, fps: float = 25, size: int = 640, every: int = 1) -> Path:
         """Write a film of the circles, coloured by speed, and of their impulses. Returns its path.
 
@@ -153,7 +166,7 @@ def film(states: Iterable[State], path, *, fps: float = 25, size: int = 640) -> 
     """
     from deep_contact.reporting.film import Canvas, write_film
 
-    states = list(states)
+    states = list_of("states", State, states)
     expect(states, "states: expected at least one state, got none")
     fastest = max(float(np.hypot(*state.bodies.velocity.T).max(initial=0.0)) for state in states)
     impulses = [0.0 if state.contacts is None else state.contacts.normal_impulse.max(initial=0.0) for state in states]

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, Union, get_args
 
 import numpy as np
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
 Classical = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad"]
 Name = Literal[Classical, "sph", "sph spline", "sph consistent", "cnn", "learned support"]
-Start = Name | WarmStart | Path | None
+Start = Union[Name, WarmStart, "LearnedModel", Path, None]
 """What `warm_start=` takes: a name, a callable, a `LearnedModel` or the path of its file; None is "none"."""
 
 
@@ -276,6 +276,11 @@ def warm_start_of(start: Start) -> WarmStart:
 
     Raises ValueError on others.
     """
+    if isinstance(start, type):
+        raise ValueError(f"warm_start: expected an instance, such as {start.__name__}(), got the class")
+    if any(kind.__module__.partition(".")[0] == "keras" for kind in type(start).__mro__):
+        hint = "LearnedModel(source=…, spec=ImageSpec()) of deep_contact.cnn makes it a start"
+        raise ValueError(f"warm_start: expected a start, got a {type(start).__name__} of Keras; {hint}")
     if callable(start):
         return start
     if is_network(start):

@@ -325,7 +325,7 @@ def old_on(page: str, text: str) -> str:
     filled(page, text)
     used = sorted(measured.USED | set(re.findall(r"data/reference/(\w+)\.png", text)))
     old = [f"<li><code>{name}</code>: {why}</li>" for name in used if (why := staleness.why_old(name))]
-    title = f"Old: {len(old)} of the {len(used)} results behind this page were made by other code than today's"
+    title = f"{len(old)} of the {len(used)} results behind this page were made before the code last changed: which, and why"
     return f"<details><summary>{title}</summary><ul>{''.join(old)}</ul></details>\n" if old else ""
 
 

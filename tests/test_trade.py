@@ -208,6 +208,16 @@ SPOILT = {
     "text for times": lambda stored: json.dumps(stored | {"rows": [one | {"us": "1"} for one in stored["rows"]]}),
     "a setting that is none": lambda stored: json.dumps(stored | {"settings": {"a": {"method": "PGSS"}}}),
     "an observation that is none": lambda stored: json.dumps(stored | {"observed": [["a", 0, 1.0, {}]]}),
+    "no number for times": lambda stored: json.dumps(
+        stored | {"rows": [one | {"us": math.nan} for one in stored["rows"]]}
+    ),
+    "times below 0": lambda stored: json.dumps(stored | {"rows": [one | {"us": -1.0} for one in stored["rows"]]}),
+    "a number beyond floats": lambda stored: json.dumps(stored | {"dt": 7.5}).replace("7.5", "1e999"),
+    "no time step": lambda stored: json.dumps(stored | {"dt": math.nan}),
+    "fewer circles than none": lambda stored: json.dumps(stored | {"n_bodies": -5}),
+    "an unknown option": lambda stored: json.dumps(
+        stored | {"rows": [one | {"setting": one["setting"] | {"omga": 1.0}} for one in stored["rows"]]}
+    ),
     "observed once": lambda stored: json.dumps(stored | {"observed": [3]}),
 }
 """What a file may be in place of a trade -> its text, of what `Trade.save` writes."""

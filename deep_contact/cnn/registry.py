@@ -10,9 +10,14 @@ from pathlib import Path
 
 from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.io.shipped import ROOT
+from deep_contact.validation import brief, expect
 
 FOLDER = "DEEP_CONTACT_MODELS"
 """Environment variable: a folder that is searched before the shipped `models/`."""
+
+
+OWN = "LearnedModel(source=keras.models.load_model(…), spec=ImageSpec(…)) of deep_contact.cnn takes your own network"
+"""What to do with a network that Keras has made."""
 
 
 def network_file(model=None) -> Path:
@@ -21,7 +26,10 @@ def network_file(model=None) -> Path:
     Where "models/x.h5" does not exist, it is the registered "x". Raises FileNotFoundError where there is none, and
     ModelFileError where the file of a registered name has another SHA-256 than the registry says.
     """
-    text, known = "model" if model is None else str(model), registered()
+    is_name = model is None or isinstance(model, (str, os.PathLike))
+    expect(is_name, f"model: expected a name or the path of a file of this package, got {brief(model)}; {OWN}")
+    text, known = "model" if model is None else os.fspath(model), registered()
+    expect(not text.endswith(".keras"), f"model: expected a file of this package, ….h5, got {text}; {OWN}")
     for place in () if text in known else (Path(text), ROOT / text):
         if place.exists() and not place.is_dir():
             return place

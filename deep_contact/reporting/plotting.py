@@ -11,6 +11,7 @@ import io
 import os
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from itertools import cycle
 from pathlib import Path
 
@@ -92,7 +93,7 @@ def shades(count: int) -> list[str]:
     return [colors.to_hex(colour) for colour in colormaps["cividis"](np.linspace(0.85, 0.0, count))]
 
 
-def style():
+def style() -> AbstractContextManager[None]:
     """Context manager with the style of all figures, for making and saving them: `with plotting.style(): ...`."""
     from cycler import cycler
     from matplotlib import style as styles
@@ -116,7 +117,7 @@ def styles_of(names: Iterable[str]) -> dict[str, dict]:
     return {name: look or dict(zip(("color", "linestyle"), next(free)), label=name) for name, look in looks.items()}
 
 
-def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords):
+def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords) -> tuple:
     """A figure and its axes (one, or an array as `Figure.subplots` gives it), without pyplot. A notebook shows it.
 
     size: width and height, inches; by default 6 × 4 for one panel, and 4.2 × 3.6 for each of several. The figure is no

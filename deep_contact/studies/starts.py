@@ -26,7 +26,8 @@ from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import State, StateWithContacts, World
 from deep_contact.state.checks import make_bodies
 from deep_contact.studies import verdicts
-from deep_contact.validation import number, one_of
+from deep_contact.studies.timing import interleaved
+from deep_contact.validation import flag, list_of, number, one_of
 from deep_contact.warm_start import Cnn, Sph, Start, WarmStart, warm_start_of
 
 THRESHOLD = constants.THETA_TOLERANCE
@@ -93,20 +94,32 @@ def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> dict[str, np.nd
     return {"theta": mean_theta(thetas, sweeps), "sweeps": np.array([sweeps_to(theta) for theta in thetas])}
 
 
+def _seconds_of(start, state: State, solver) -> tuple[float, float]:
+    """What a start, and a solve from its impulses, take for a state, s: the least of three."""
+    impulse = start(state, solver)
+    both = {"start": lambda: start(state, solver), "solve": lambda: solve_contacts(state, solver=solver, start=impulse)}
+    took = interleaved(both, repeats=3)
+    return took["start"], took["solve"]
+
+
 def paired(
     states: Sequence[StateWithContacts],
     starts: Mapping[str, Any] | Iterable[Start],
     *,
     sweeps: int,
     velocity_sweeps: Sequence[int] = (),
+    seconds: bool = False,
 ) -> dict[str, dict[str, np.ndarray]]:
     """`convergence_of` every start on the same states, each solved with so many sweeps.
 
     starts: name -> start, as `simulate` takes it; or names of starts alone.
     With velocity_sweeps also "velocity": relative velocity errors after so many sweeps, against the solution swept on
-    by `REFERENCE`; a row a state, not finite where nothing was to be solved.
+    by `REFERENCE`; a row a state, not finite where nothing was to be solved. With seconds also "seconds": what the
+    start and the solve of each state took, (states, 2), s, the least of three; nothing else should run meanwhile.
     """
     from deep_contact.cnn.evaluation import velocity_errors
+
+    states = list_of("states", State, states)
 
     solver = PGS(sweeps=sweeps, tolerance=None)
     goals = [swept_on(state) for state in states] if velocity_sweeps else []
@@ -116,6 +129,8 @@ def paired(
         impulses = [start(state, solver) for state in states]
         thetas = [solve_contacts(s, solver=solver, start=impulse).record.theta for s, impulse in zip(states, impulses)]
         by_start[name] = convergence_of(thetas, sweeps)
+        if flag("seconds", seconds):
+            by_start[name]["seconds"] = np.array([_seconds_of(start, s, solver) for s in states])
         if velocity_sweeps:
             errors = [velocity_errors(goal, impulse, velocity_sweeps) for goal, impulse in zip(goals, impulses)]
             by_start[name]["velocity"] = np.array(errors)

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # The package without its repository: build the source distribution, from that the wheel; install the wheel beside the
-# packages of .venv and use it in an empty folder; pass the tests of files in the unpacked source distribution.
+# packages of .venv and use it in an empty folder; pass the tests of files in the unpacked source distribution; let strict
+# type checkers read a program of a user.
 # DEEP_CONTACT_WHEEL_PYTHON names another python, such as python3.13: then the wheel comes with its own packages from
 # the index (2.6 GB), and every program of the gallery runs.
 set -euo pipefail
@@ -12,8 +13,8 @@ export TF_CPP_MIN_LOG_LEVEL=3 CUDA_VISIBLE_DEVICES=""
 unset PYTHONPATH DEEP_CONTACT_MODELS
 
 work="$(mktemp -d)"
-tests=""
-trap '[ -z "$tests" ] || kill "$tests" 2> /dev/null || true; rm -rf "$work"' EXIT
+tests="" types=""
+trap '[ -z "$tests$types" ] || kill $tests $types 2> /dev/null || true; rm -rf "$work"' EXIT
 mkdir "$work/repository" "$work/empty"
 
 # From the files that git knows, or would add: caches and old builds must not be what makes it work.
@@ -57,6 +58,16 @@ else
         > "$packages/outside.pth"
 fi
 export PATH="$work/env/bin:$PATH"
+
+# What strict type checkers say of the wheel, meanwhile.
+(
+    mkdir "$work/typed"
+    cd "$work/typed"
+    cp "$source/tests/tools/user_script.py" .
+    "$PYTHON" -m mypy --strict --python-executable "$work/env/bin/python" --cache-dir "$work/mypy" user_script.py
+    "$PYTHON" -m pyright --pythonpath "$work/env/bin/python" user_script.py
+) > "$work/types" 2>&1 &
+types=$!
 
 cd "$work/empty"
 python - "$packages" << 'CHECKS'
@@ -103,5 +114,6 @@ for file in later.xml run.h5 predictions/rest_362.csv film.gif trained/model.h5 
     [ -s "$file" ] || { echo "$file: expected a file, got none"; exit 1; }
 done
 
+wait "$types" || { cat "$work/types"; exit 1; }
 wait "$tests" || { cat "$work/log"; exit 1; }
 echo "The wheel works without the repository, and the source distribution passes its tests of files."
