@@ -241,17 +241,9 @@ def draw_comparison(data: dict, title: str, over: str = "builtin", hidden: Seque
     """θ by sweep in runs of their own, without the `hidden` starts, and the ratios of those that are near one start."""
     figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.6))
     starts, sweeps = data["independent"], data["sweep"]
-    drawn = [name for name in starts if name not in hidden]
-    for name, look in plotting.styles_of(drawn).items():
-        curves = [starts[name]["theta"], *np.percentile(starts[name]["scenes"]["theta"], (25, 75), axis=0)]
-        plotting.band(left, sweeps, *np.maximum(curves, FLOOR), **look)
+    draw_theta(left, data, [name for name in starts if name not in hidden])
     left.axhline(data["threshold"], color=plotting.GREY, linewidth=1, zorder=1, label=f"θ = {data['threshold']:g} N·s")
-    left.set(xscale="log", yscale="log")
-    title_of_left = "mean θ by sweep" + bands(data, "quartiles of the scenes")
-    plotting.label_axes(left, "sweep", "mean convergence rate θ", y_unit="N·s", title=title_of_left)
-    if min(min(starts[name]["theta"]) for name in drawn) < FLOOR:
-        note = f"θ below {FLOOR:.0e}, zero included, is drawn there"
-        left.text(0.01, 0.01, note, transform=left.transAxes, fontsize=8, color="#555555", va="bottom")
+    left.set_title("mean θ by sweep" + bands(data, "quartiles of the scenes"))
     after_ten = int(np.argmin(np.abs(np.asarray(sweeps) - 10)))
     near = [name for name in starts if verdicts.intervals(starts, name, over)[0, after_ten] > 0.1]
     draw_ratios(right, data, near, over)
@@ -262,13 +254,27 @@ def draw_comparison(data: dict, title: str, over: str = "builtin", hidden: Seque
     return figure
 
 
-def bands(data: dict, of: str = "95 % intervals") -> str:
+def bands(data: dict, of: str = "95 %, all sweeps at once") -> str:
     """What a title says of the bands, which one scene does not have."""
     return f"; bands: {of}" if verdicts.scenes_of(data["independent"]) > 1 else ""
 
 
+def draw_theta(ax, data: dict, names: Sequence[str]) -> None:
+    """Mean θ by sweep of some starts, in runs of their own, with the quartiles of the scenes."""
+    styles = plotting.styles_of(list(data["independent"]))
+    for name in names:
+        start = data["independent"][name]
+        curves = [start["theta"], *np.percentile(start["scenes"]["theta"], (25, 75), axis=0)]
+        plotting.band(ax, data["sweep"], *np.maximum(curves, FLOOR), **styles[name])
+    ax.set(xscale="log", yscale="log")
+    plotting.label_axes(ax, "sweep", "mean convergence rate θ", y_unit="N·s")
+    if min(min(data["independent"][name]["theta"]) for name in names) < FLOOR:
+        note = f"θ below {FLOOR:.0e}, zero included, is drawn there"
+        ax.text(0.01, 0.01, note, transform=ax.transAxes, fontsize=8, color="#555555", va="bottom")
+
+
 def draw_ratios(ax, data: dict, names: Sequence[str], over: str) -> None:
-    """θ of some starts over that of one of them, in runs of their own, with the intervals of `verdicts`."""
+    """θ of some starts over that of one of them, in runs of their own, with the bands of `verdicts`."""
     styles = plotting.styles_of(list(data["independent"]))
     for name in names:
         plotting.band(ax, data["sweep"], *verdicts.intervals(data["independent"], name, over), **styles[name])
@@ -338,15 +344,17 @@ def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[in
 
     def draw(data, options):
         d, spacings = options["d"], options["spacings"]
-        figure, panels = plotting.subplots(1, 2, size=(10.0, 4.6), sharey=True)
+        figure, panels = plotting.subplots(2, 2, size=(8.3, 8.0), sharex=True, sharey="row")
         sides = [
             (f"a) d = {d:g} m", [grid_of(d, h) for h in options["h"]], grid_of(d, d)),
             ("b) h = d", [*map(grid_of, spacings, spacings), grid_of(0.5, 0.5, "sph spline")], grid_of(0.5, 0.5)),
         ]
-        for ax, (text, names, over) in zip(panels, sides):
-            draw_ratios(ax, data, names, over)
-            ax.set(title=text + bands(data))
-            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
+        for (above, below), (text, names, over) in zip(panels.T, sides):
+            draw_theta(above, data, names)
+            draw_ratios(below, data, names, over)
+            above.set(title=text + bands(data, "quartiles of the scenes"), xlabel="")
+            below.set_title("ratio" + bands(data))
+            below.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
         figure.suptitle(title)
         return figure
 

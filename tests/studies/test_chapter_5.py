@@ -12,7 +12,7 @@ from deep_contact import parallel
 from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec
-from deep_contact.studies import chapter_5, starts
+from deep_contact.studies import chapter_5, starts, verdicts
 from deep_contact.warm_start import Builtin, NoStart, Sph
 
 
@@ -122,6 +122,29 @@ def test_a_start_that_is_given_up_counts_with_all_its_sweeps(falling_states):
     assert len(found["none"]["seconds"]["solve"]) == 2
     few = time_to_threshold(falling_states[4:5], {"none": NoStart()}, most=2, **timed)["none"]
     assert (few["sweeps"], few["missed"]) == ([2], 1)
+
+
+@pytest.mark.parametrize(
+    ("factor", "capped", "holds"),
+    [
+        (2.0, (0, 0), True),
+        (2.0, (3, 0), True),  # the first take even longer
+        (2.0, (0, 3), None),  # so may the second
+        (2.0, (3, 3), None),
+        (0.5, (0, 0), False),
+        (0.5, (0, 3), False),
+        (0.5, (3, 0), None),
+        (1.0, (0, 0), None),
+        (1.0, (8, 8), None),
+    ],
+)
+def test_what_the_cap_decides_is_open(factor, capped, holds):
+    open_where_capped = load_script("figure_5_10").open_where_capped
+    spread, also = np.linspace(0.9, 1.1, 10), {f"solves at the cap, {i}": count for i, count in enumerate(capped)}
+    judged = verdicts.judged_values(factor * spread, spread[::-1], "slower", within=verdicts.SLOWER, also=also)
+    claim = open_where_capped(judged, 10)
+    assert claim.holds is holds
+    assert claim.verdict.startswith("open: ") == (holds is None and any(capped))
 
 
 def test_friction_restitution_and_dt_are_settings_of_a_scene():
