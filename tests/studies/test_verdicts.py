@@ -131,7 +131,7 @@ def test_a_band_has_all_numbers_together_with_95_percent():
 
 
 def test_curves_that_were_exchanged_by_chance_rarely_have_a_verdict():
-    """Starts of Figure 5.4, exchanged in random scenes: neither is faster. By single sweeps 44 of 100 would have one."""
+    """Starts of Figure 5.4, exchanged in random scenes: neither is faster. By single sweeps 44 of 100 have one."""
     found = results.reference("figure_5_4")["data"]
     scenes, rng, wrong = found["independent"], np.random.default_rng(1), 0
     for _ in range(100):
