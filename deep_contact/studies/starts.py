@@ -7,6 +7,7 @@ that only the start differs. Independent, as in the thesis: every start drives a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from deep_contact import constants, sph
 from deep_contact.cnn.backend import one_thread
 from deep_contact.parallel import parallel_map, seeds
+from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import mean_theta
 from deep_contact.physics.ready import ready
 from deep_contact.physics.scenes import circles_in_box
@@ -27,7 +29,7 @@ from deep_contact.state import State, StateWithContacts, World
 from deep_contact.state.checks import make_bodies
 from deep_contact.studies import verdicts
 from deep_contact.validation import number, one_of
-from deep_contact.warm_start import Cnn, Sph, Start, WarmStart, warm_start_of
+from deep_contact.warm_start import Cnn, Sph, Start, WarmStart, solved_impulses, warm_start_of
 
 THRESHOLD = constants.THETA_TOLERANCE
 """θ at which a solve counts as done where sweeps are counted, N·s."""
@@ -142,13 +144,28 @@ def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> d
     return convergence_of(thetas, sweeps)
 
 
+@dataclass(frozen=True)
+class RoundedCopy:
+    """The solution itself, each impulse rounded to so many significant digits."""
+
+    digits: int
+
+    def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
+        one = lambda impulse: float(f"{impulse:.{self.digits - 1}e}")  # noqa: E731
+        normal, tangent = (np.array([*map(one, impulses)]) for impulses in solved_impulses(state, solver))
+        return projected(normal, tangent, state.world.friction)
+
+
 def start_of(description) -> WarmStart:
     """A start from its description in a figure's options.
 
-    A name, a dict with the fields of `Sph`, or {"model": path} for a network, which runs on one thread.
+    A name, a dict with the fields of `Sph`, {"model": path} for a network, which runs on one thread, or {"digits": k}
+    for a `RoundedCopy`.
     """
     if not isinstance(description, Mapping):
         return warm_start_of(description)
+    if "digits" in description:
+        return RoundedCopy(**description)
     if "model" not in description:
         return Sph(**description)
     one_thread()
@@ -237,19 +254,23 @@ FLOOR = 1e-9
 """Where smaller θ are drawn, N·s."""
 
 
-def draw_comparison(data: dict, title: str, over: str = "builtin", hidden: Sequence[str] = ()):
-    """θ by sweep in runs of their own, without the `hidden` starts, and the ratios of those that are near one start."""
-    figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.6))
-    starts, sweeps = data["independent"], data["sweep"]
+def draw_comparison(data: dict, title: str, over: str | None = "builtin", hidden: Sequence[str] = ()):
+    """θ by sweep in runs of their own, without the `hidden` starts, and the ratios of those that are near one start.
+
+    over: this start; None draws no ratios.
+    """
+    figure, panels = plotting.subplots(1, 2 if over else 1, size=(10.0 if over else 6.0, 4.6), squeeze=False)
+    (left, *right), starts, sweeps = panels[0], data["independent"], data["sweep"]
     draw_theta(left, data, [name for name in starts if name not in hidden])
     left.axhline(data["threshold"], color=plotting.GREY, linewidth=1, zorder=1, label=f"θ = {data['threshold']:g} N·s")
     left.set_title("mean θ by sweep" + bands(data, "quartiles of the scenes"))
     after_ten = int(np.argmin(np.abs(np.asarray(sweeps) - 10)))
-    near = [name for name in starts if verdicts.intervals(starts, name, over)[0, after_ten] > 0.1]
-    draw_ratios(right, data, near, over)
-    right.set_title("ratio" + bands(data))
-    curves = {text: line for ax in (left, right) for line, text in zip(*ax.get_legend_handles_labels())}
-    figure.legend(curves.values(), curves.keys(), loc="outside lower center", ncols=4)
+    for ax in right:
+        near = [name for name in starts if verdicts.intervals(starts, name, over)[0, after_ten] > 0.1]
+        draw_ratios(ax, data, near, over)
+        ax.set_title("ratio" + bands(data))
+    curves = {text: line for ax in panels[0] for line, text in zip(*ax.get_legend_handles_labels())}
+    figure.legend(curves.values(), curves.keys(), loc="outside lower center", ncols=4 if over else 3)
     figure.suptitle(title)
     return figure
 
@@ -290,7 +311,7 @@ def convergence_figure(
     claims: Callable,
     sweeps: int = 3000,
     seed: int = 0,
-    over: str = "builtin",
+    over: str | None = "builtin",
     hidden: Sequence[str] = (),
     modes: Sequence[str] = ("independent",),
 ) -> Figure:

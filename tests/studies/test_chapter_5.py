@@ -12,8 +12,9 @@ from deep_contact import parallel
 from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec
+from deep_contact.physics.solvers import PGS
 from deep_contact.studies import chapter_5, starts, verdicts
-from deep_contact.warm_start import Builtin, NoStart, Sph
+from deep_contact.warm_start import Builtin, Copy, NoStart, Sph
 
 
 @pytest.fixture(scope="module")
@@ -157,8 +158,21 @@ def test_friction_restitution_and_dt_are_settings_of_a_scene():
     assert figure.changed(figure.settings({"dt": 0.005}, quick=False)) == ["dt=0.005"]
 
 
+def test_a_rounded_copy_is_the_solution_to_so_many_digits_and_admissible(falling_states):
+    state = falling_states[5]
+    solved = np.concatenate(Copy()(state, PGS()))
+    for digits in (1, 3):
+        normal, tangent = starts.start_of({"digits": digits})(state, PGS())
+        assert (abs(tangent) <= state.world.friction * normal).all()
+        exact = [float(np.format_float_scientific(value, digits - 1, unique=False)) for value in solved]
+        np.testing.assert_array_equal(normal, exact[: normal.size])
+        inside = abs(solved[normal.size :]) < 0.4 * state.world.friction * solved[: normal.size]
+        assert inside.any()
+        np.testing.assert_array_equal(tangent[inside], np.array(exact[normal.size :])[inside])
+
+
 @pytest.mark.parametrize(
-    "number", ["3_6", "3_7", "3_8", "5_1", "5_2", "5_3", "5_4", "5_5", "5_6", "5_7", "5_9", "5_10"]
+    "number", ["3_6", "3_7", "3_8", "5_1", "5_2", "5_3", "5_4", "5_5", "5_6", "5_7", "5_9", "5_10", "6_17"]
 )
 def test_every_figure_of_chapters_3_and_5_that_simulates_has_them(number):
     figure = load_script(f"figure_{number}").FIGURE
