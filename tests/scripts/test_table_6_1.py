@@ -45,7 +45,7 @@ def test_networks_for_one_map_each_fill_both(tmp_path):
     rng = np.random.default_rng(0)
     for name, maps in (("train_x", 5), ("train_y", 2), ("test_x", 5)):
         np.save(tmp_path / f"{name}.npy", rng.uniform(0.1, 1.0, (4, 17, 17, maps)).astype(np.float32))
-    options = {"filters and rank": dict.fromkeys(table.MAPS, [2, 3]), "rate": 0.01, "batch": 2, "epochs": 1}
+    options = {"filters and rank": {variant: [2, 3] for variant in table.MAPS}, "rate": 0.01, "batch": 2, "epochs": 1}
     one, large, each = (table.trained_maps((variant, 0), tmp_path, options) for variant in table.MAPS)
     assert one[1].shape == each[1].shape == (4, 17, 17, 2)
     assert (each[1] != 0).any(axis=(0, 1, 2)).all()
