@@ -48,7 +48,7 @@ def table(data):
         rows.append([mine["kind"], text(theirs), text(mine), kernel, f"{mine['parameters']:,}", equal(theirs, mine)])
     total, trained = (sum(layer[of] for layer in data["built"]) for of in ("parameters", "trainable"))
     rows.append(["all", None, None, None, f"{total:,}", None])
-    return [*rows, ["all that are trained: no statistics of batches", None, None, None, f"{trained:,}", None]]
+    return [*rows, ["of these, trained", None, None, None, f"{trained:,}", None]]
 
 
 FIGURE = Figure("T 5.1", "Layers of the thesis's network", compute, table, claims=claims)
