@@ -1,8 +1,8 @@
 """python scripts/table_6_1_maps.py: one network for both maps of impulses, or one for each.
 
 Goals 7 to 9 of the thesis, which it left to an argument (section 6.1). The networks are the thesis's, narrower, with a
-factored last layer, and on images with half as many nodes a side. All see the same states; each is trained from three random beginnings, by Adam, whose steps do
-not depend on the scale of a loss, and on the thesis's loss (Appendix B).
+factored last layer, and on images with half as many nodes a side. All see the same states; each is trained from three
+random beginnings, by Adam, whose steps do not depend on the scale of a loss, and on the thesis's loss (Appendix B).
 """
 
 import tempfile
@@ -76,7 +76,7 @@ def trained_maps(task, folder, options):
         network.compile(keras.optimizers.Adam(options["rate"]), masked_squared_error, jit_compile=False)
         wanted = labels[..., maps].reshape(len(labels), -1)
         network.fit(inputs, wanted, batch_size=options["batch"], epochs=options["epochs"], verbose=0)
-        images[..., maps] = network.predict(test, verbose=0).reshape(*test.shape[:3], len(maps))
+        images[..., maps] = np.reshape(network(test, training=False), (*test.shape[:3], len(maps)))
         parameters += network.count_params()
     return int(parameters), images
 
