@@ -59,7 +59,7 @@ def on_config(config):
 
 
 def on_files(files, config):
-    """Run the examples, and add their pages, those of the API, the appendix, and the pictures of the results."""
+    """Run the examples, and add their pages, those of the API, and the pictures of the results."""
     first, *others = _order()
     pages = [_example(first)]  # alone: it compiles what all of them need
     with ThreadPoolExecutor(2) as pool:
@@ -77,9 +77,6 @@ def on_files(files, config):
     for name in MODULES:
         files.append(File.generated(config, PAGES[name], content=f"# dc.{name}\n\n::: {PLACES[name]}\n"))
     files.append(File.generated(config, "api/index.md", content=_public_names()))
-    made = [sys.executable, ROOT / "docs" / "tables.py", "--appendix"]
-    appendix = subprocess.run(made, capture_output=True, text=True, check=True, env=os.environ | PATHS).stdout
-    files.append(File.generated(config, "appendix.md", content=appendix))
     for path in (ROOT / "data" / "reference").glob("*.png"):
         files.append(File.generated(config, f"reference/{path.name}", abs_src_path=str(path)))
         small = Path(_work.name) / path.name
@@ -105,6 +102,7 @@ def on_page_markdown(markdown, page, config, files):
         small = rf"[![\1](thumbnails/\2){{ width={THUMBNAIL} }}<br>\1](reference/\2)"
         markdown = re.sub(r"\[(T?[ .\d]+)\]\(\.\./data/reference/(\w+\.png)\)", small, markdown)
     markdown = re.sub(r"\(((?:gallery/)?\w+)\.py\)", r"(\1.md)", markdown)
+    markdown = markdown.replace("](../deep_contact/__init__.py)", "](api/index.md)")
     return markdown.replace("](../data/reference/", "](reference/")
 
 

@@ -38,6 +38,10 @@ def test_the_last_layer_may_be_a_product_of_lower_rank(thesis):
     assert np.linalg.matrix_rank(small.layers[-2].kernel @ small.layers[-1].kernel[:, :300]) == 170
 
 
+def test_a_network_may_give_one_map():
+    assert build("thesis", targets=1, stacks=[[2, [3]]]).output_shape == (None, 61 * 61)
+
+
 @pytest.mark.parametrize(
     ("name", "options", "field"),
     [
@@ -45,6 +49,7 @@ def test_the_last_layer_may_be_a_product_of_lower_rank(thesis):
         ("thesis", {"shape": (61, 0)}, r"shape\[1\]"),
         ("thesis", {"dropout": 1.0}, "dropout"),
         ("thesis", {"rank": 0}, "rank"),
+        ("thesis", {"targets": 0}, "targets"),
         ("far field", {"widht": 8}, "options of far field: expected"),
     ],
 )

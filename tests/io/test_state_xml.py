@@ -192,6 +192,18 @@ def test_old_files_without_inertia_are_of_solid_discs():
     assert bits(parse_state(text.encode(), OLD_A.name)) == bits(read_state(OLD_A))
 
 
+def test_a_body_needs_no_more_than_section_5_2_1_lists():
+    """Mass, position, velocity, spin and inertia: the radius is sqrt(2 I / m), the angle 0."""
+    body = (
+        '<body index="0" type="free"><mass value="2.0"/><position x="5.0" y="6.0"/><velocity x="1.0" y="0.5"/>'
+        '<spin omega="0.25"/><inertia value="2.25"/></body>'
+    )
+    state = parse_state(f'<configuration name="a" time="0"><bodies>{body}</bodies></configuration>'.encode(), "1.xml")
+    assert state.bodies.radius == pytest.approx([1.5])
+    assert (state.bodies.mass[0], state.bodies.spin[0], state.bodies.angle[0]) == (2.0, 0.25, 0.0)
+    assert state.world.box == (0, 0, 30, 30)
+
+
 def test_dialect_b_prints_normals_and_shapes():
     state = read_state(OLD_B)
     assert (state.step, state.dt, state.solved) == (7, constants.TIME_STEP, True)

@@ -12,8 +12,9 @@ from deep_contact import parallel
 from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec
-from deep_contact.studies import chapter_5, starts
-from deep_contact.warm_start import Builtin, NoStart, Sph
+from deep_contact.physics.solvers import PGS
+from deep_contact.studies import chapter_5, starts, verdicts
+from deep_contact.warm_start import Builtin, Copy, NoStart, Sph
 
 
 @pytest.fixture(scope="module")
@@ -124,6 +125,29 @@ def test_a_start_that_is_given_up_counts_with_all_its_sweeps(falling_states):
     assert (few["sweeps"], few["missed"]) == ([2], 1)
 
 
+@pytest.mark.parametrize(
+    ("factor", "capped", "holds"),
+    [
+        (2.0, (0, 0), True),
+        (2.0, (3, 0), True),  # the first take even longer
+        (2.0, (0, 3), None),  # so may the second
+        (2.0, (3, 3), None),
+        (0.5, (0, 0), False),
+        (0.5, (0, 3), False),
+        (0.5, (3, 0), None),
+        (1.0, (0, 0), None),
+        (1.0, (8, 8), None),
+    ],
+)
+def test_what_the_cap_decides_is_open(factor, capped, holds):
+    open_where_capped = load_script("figure_5_10").open_where_capped
+    spread, also = np.linspace(0.9, 1.1, 10), {f"solves at the cap, {i}": count for i, count in enumerate(capped)}
+    judged = verdicts.judged_values(factor * spread, spread[::-1], "slower", within=verdicts.SLOWER, also=also)
+    claim = open_where_capped(judged, 10)
+    assert claim.holds is holds
+    assert claim.verdict.startswith("open: ") == (holds is None and any(capped))
+
+
 def test_friction_restitution_and_dt_are_settings_of_a_scene():
     small = {"n_bodies": 12, "size": 14.0, "times": [0.5], "friction": 0.1, "restitution": 0.7, "dt": 0.005}
     figure = load_script("figure_3_6").FIGURE
@@ -134,8 +158,21 @@ def test_friction_restitution_and_dt_are_settings_of_a_scene():
     assert figure.changed(figure.settings({"dt": 0.005}, quick=False)) == ["dt=0.005"]
 
 
+def test_a_rounded_copy_is_the_solution_to_so_many_digits_and_admissible(falling_states):
+    state = falling_states[5]
+    solved = np.concatenate(Copy()(state, PGS()))
+    for digits in (1, 3):
+        normal, tangent = starts.start_of({"digits": digits})(state, PGS())
+        assert (abs(tangent) <= state.world.friction * normal).all()
+        exact = [float(np.format_float_scientific(value, digits - 1, unique=False)) for value in solved]
+        np.testing.assert_array_equal(normal, exact[: normal.size])
+        inside = abs(solved[normal.size :]) < 0.4 * state.world.friction * solved[: normal.size]
+        assert inside.any()
+        np.testing.assert_array_equal(tangent[inside], np.array(exact[normal.size :])[inside])
+
+
 @pytest.mark.parametrize(
-    "number", ["3_6", "3_7", "3_8", "5_1", "5_2", "5_3", "5_4", "5_5", "5_6", "5_7", "5_9", "5_10"]
+    "number", ["3_6", "3_7", "3_8", "5_1", "5_2", "5_3", "5_4", "5_5", "5_6", "5_7", "5_9", "5_10", "6_17"]
 )
 def test_every_figure_of_chapters_3_and_5_that_simulates_has_them(number):
     figure = load_script(f"figure_{number}").FIGURE
