@@ -10,25 +10,32 @@ from pathlib import Path
 
 from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.io.shipped import ROOT
+from deep_contact.validation import expect
 
 FOLDER = "DEEP_CONTACT_MODELS"
 """Environment variable: a folder that is searched before the shipped `models/`."""
+
+RENAMED = {"no_past": "far field, no past", "thesis_factored": "model"}
+"""Name of a network before -> its name now."""
 
 
 def network_file(model=None) -> Path:
     """A model file by its name in the registry (default "model"), or by its path from the current folder or `ROOT`.
 
-    Where "models/x.h5" does not exist, it is the registered "x". Raises FileNotFoundError where there is none, and
-    ModelFileError where the file of a registered name has another SHA-256 than the registry says.
+    Where "models/x.h5" does not exist, it is the registered file "x.h5". Raises FileNotFoundError where there is none,
+    ValueError on a name of an earlier version, and ModelFileError where the file of a registered name has another
+    SHA-256 than the registry says.
     """
     text, known = "model" if model is None else str(model), registered()
     for place in () if text in known else (Path(text), ROOT / text):
         if place.exists() and not place.is_dir():
             return place
-    name = text.removeprefix("models/").removesuffix(".h5")
+    stem = text.removeprefix("models/").removesuffix(".h5")
+    name = {Path(entry["file"]).stem: name for name, entry in known.items()}.get(stem, stem)
     if name not in known:
+        expect(stem not in RENAMED, f"model file: {text} is called {RENAMED.get(stem)!r} now")
         raise FileNotFoundError(
-            f"model file: expected a file or one of {', '.join(known)}, got {text}, which does not exist; "
+            f"model file: expected a file or one of {', '.join(map(repr, known))}, got {text}, which does not exist; "
             "`deep-contact train` makes one"
         )
     entry = known[name]
