@@ -19,7 +19,7 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact.__main__ import status_of
-from deep_contact.cnn.backend import limit_threads
+from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.evaluation import SWEEPS, velocity_errors
 from deep_contact.cnn.inference import FarFieldModel, load_model
 from deep_contact.io.files import replacing
@@ -100,7 +100,7 @@ def main(argv=None) -> int:
     add("--no-pictures", action="store_true", help="numbers only")
     args = parser.parse_args(argv)
     try:
-        limit_threads(1)
+        one_thread()
         model = load_model(args.model)
         args.out.mkdir(parents=True, exist_ok=True)
     except (ModuleNotFoundError, OSError, ValueError) as error:
