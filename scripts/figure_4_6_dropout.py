@@ -9,7 +9,7 @@ from deep_contact.studies import chapter_5
 
 
 def compute(options, seed, jobs, progress):
-    """A small network with neurons left out; the trained network's first maps and its prediction, off and on."""
+    """A small network with neurons left out; the trained one's maps and prediction, off and on."""
     from deep_contact.cnn.backend import keras
 
     keras.utils.set_random_seed(seed)  # of the masks
