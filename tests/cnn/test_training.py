@@ -272,5 +272,11 @@ def test_a_script_goes_on_from_a_model(undisturbed):
     assert (settings.epochs, settings.rate, settings.options) == (2, 0.01, {"dropout": 0.2})
     quick = script.configuration({"epochs": 2}, None, quick=True)
     assert (quick.epochs, quick.options, quick.states_per_epoch) == (2, {"width": 8}, 960)
+    with pytest.raises(ValueError, match="architecture: expected a recipe of the thesis's"):
+        script.configuration({"architecture": "thesis"}, None)
+    with pytest.raises(ValueError, match="recipe: expected none beside --from"):
+        script.configuration({"recipe": "thesis"}, undisturbed.path)
+    ranked = script.configuration({"recipe": "authors' code", "options": [("rank", 9)]}, None)
+    assert ranked.options == {"dropout": [0, 0, 0, 0, 0.25], "weight_decay": 1e-4, "rank": 9}
     thesis = script.configuration({"recipe": "thesis"}, None, quick=True)
     assert (thesis.optimizer, thesis.schedule, thesis.options["dropout"]) == ("sgd", "scaled algorithm 6", 0.1)
