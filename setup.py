@@ -22,7 +22,7 @@ SHIPPED = (
     "data/sample/*",
     "data/reference/run_tradeoff.json",  # Figures 6.1 and 6.2 draw it
 )
-"""30 MB, of which the thesis's network, models/model.h5, has 25."""
+"""30 MB installed, of which the thesis's network, models/model.h5, has 25."""
 
 
 class BuildWithShippedFiles(build_py):

@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # of `deep-contact figure | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more
         return 0
-    except (FloatingPointError, OSError, FileError, MemoryError) as error:
+    except (FloatingPointError, OSError, FileError, MemoryError, ModuleNotFoundError) as error:
         print(f"{parser.prog} {name}: {error}", file=sys.stderr)
         return status_of(error)
     except ValueError as error:
