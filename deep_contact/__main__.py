@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # of `deep-contact figure | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more
         return 0
-    except (FloatingPointError, OSError, FileError, MemoryError) as error:
+    except (FloatingPointError, OSError, FileError, MemoryError, ModuleNotFoundError) as error:
         print(f"{parser.prog} {name}: {error}", file=sys.stderr)
         return status_of(error)
     except ValueError as error:
@@ -131,7 +131,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add("--sweeps", type=int, metavar="N", help="most sweeps of the solver in a step (default: the state's own)")
     text = "steps between two states of an .h5, or of a film (default: %(default)s)"
     add("--every", type=int, default=10, metavar="N", help=text)
-    add("--warm-start", metavar="NAME", help="none, builtin, scaled, support, cnn, … (default: builtin)")
+    add("--warm-start", metavar="NAME", help="none, builtin, scaled, support, far field, … (default: builtin)")
     add("--dt", type=float, metavar="S", help="time step, s (default: the state's, 0.01 s in a scene)")
     add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or that of --accuracy fast)")
     add("--tolerance", type=float, metavar="N·s", help="θ, the largest change of an impulse, that ends a step's sweeps")

@@ -27,6 +27,7 @@ from deep_contact.studies.chapter_5 import (
     NETWORKS,
     READ_NETWORK,
     THESIS_VISITS,
+    card_of,
     networks_info,
 )
 from deep_contact.studies.starts import READ
@@ -321,8 +322,8 @@ def worth() -> np.ndarray:
 
 
 def price(n_bodies: int) -> float:
-    """Sweeps of PGS in the time of the network `model.h5`, its images included (Figure 5.10), median over states."""
-    found = stored("figure_5_10")["data"]["piles"][str(n_bodies)]["starts"]["cnn"]
+    """Sweeps of PGS in the time of the far-field network, its images included (Figure 5.10), median over states."""
+    found = stored("figure_5_10")["data"]["piles"][str(n_bodies)]["starts"]["far field"]
     seconds = {stage: np.array(values) for stage, values in found["seconds"].items()}
     a_sweep = seconds.pop("solve") / np.array(found["sweeps"])
     return float(np.median(sum(seconds.values()) / a_sweep))
@@ -335,10 +336,10 @@ def width(friction: float = 0.5, circles: int = 100, *, scene: str = "resting", 
 
 
 def elsewhere() -> list[float]:
-    """Figure 6.15: of PGS from zero and from `support`, the distance from the run's impulses; of model.h5, that and its
-    velocity error."""
+    """Figure 6.15: of PGS from zero and from `support`, the distance from the run's impulses; of the far-field network, that and
+    its velocity error."""
     errors = claim("figure_6_15", "that know no past")
-    return [errors["PGS from zero"][0], errors["PGS from support"][0], *errors["model.h5"]]
+    return [errors["PGS from zero"][0], errors["PGS from support"][0], *errors["network, far field"]]
 
 
 def digits() -> list[float]:
@@ -391,17 +392,21 @@ def ahead(stem: str, first: str, second: str, share: float = 1.0) -> str:
     return ranges(data["sweep"], intervals(data["independent"], first, second)[2] < share)
 
 
+CNN, FAR_FIELD = "CNN (model.h5)", "far field (far_field.h5)"
+"""The two networks in the claims of Figures 5.9 and 5.10."""
+
+
 def not_efficient(network: str, circles: int = 100) -> list[list[float]]:
     """Figure 5.10: a network's start over Builtin, sweeps and then time to θ < 6e-5: [ratio, low, high] of each."""
-    named = f"{circles} circles, CNN ({network}): it"
+    named = f"{circles} circles, {network}: it"
     return [claim("figure_5_10", f"{named} {text}")[RATIO] for text in ("reaches θ", "is not efficient")]
 
 
 def reached() -> list[int]:
-    """Figure 5.10: of piles of 1,000 circles, the states that reach θ < 6e-5: from Copy, of all, from Builtin, from model.h5."""
+    """Figure 5.10: of piles of 1,000 circles, the states that reach θ < 6e-5: from Copy, of all, from Builtin, from far field."""
     pile = stored("figure_5_10")["data"]["piles"]["1000"]
     count = len(pile["scene"])
-    copy, builtin, network = (count - pile["starts"][name]["missed"] for name in ("copy", "builtin", "cnn"))
+    copy, builtin, network = (count - pile["starts"][name]["missed"] for name in ("copy", "builtin", "far field"))
     return [copy, count, builtin, network]
 
 
@@ -418,9 +423,9 @@ def first_rates() -> list[float]:
 
 
 def weights_of_thesis() -> list[int]:
-    """Weights that the thesis's network learns, and those of the file whose last layer is factored."""
+    """Weights that the thesis's network learns, and all of the file's, whose last layer is factored."""
     learned = sum(layer["trainable"] for layer in stored("table_5_1")["data"]["built"])
-    return [learned, networks_info(NETWORKS)["cnn thesis"]["parameters"]]
+    return [learned, card_of(NETWORKS["cnn"])["parameters"]]
 
 
 PEAK = 11.3e12
@@ -444,7 +449,7 @@ def errors_of_images() -> list[float]:
 
 def training_share() -> float:
     """States that the thesis's training showed, over those that the training of its network here did."""
-    return THESIS_VISITS / networks_info(NETWORKS)["cnn thesis"]["visits"]
+    return THESIS_VISITS / networks_info(NETWORKS)["cnn"]["visits"]
 
 
 AFTER = (3, 10, 30)
@@ -566,9 +571,9 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ("Of the other cases, this package alone keeps {}, and another engine alone {}", lambda: walls_alone()[::2]),
         (
             "takes {:.2f} times as many sweeps as a start from the impulses of the step before, with an interval of {:.2f} to {:.2f}",
-            lambda: not_efficient("model.h5")[0],
+            lambda: not_efficient(FAR_FIELD)[0],
         ),
-        ("It takes {:.2f} times as long, with an interval of {:.2f} to {:.2f}", lambda: not_efficient("model.h5")[1]),
+        ("It takes {:.2f} times as long, with an interval of {:.2f} to {:.2f}", lambda: not_efficient(FAR_FIELD)[1]),
         (
             "{:.1f} to {:.1f} times as long, and those of the others {:.1f} to {:.1f} times",
             busy_over_idle,
@@ -637,17 +642,17 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
         (
             "converges faster than Builtin at sweeps {} to {} (Figure 5.9)",
-            lambda: sweeps("figure_5_9", "CNN (model.h5) converges faster than Builtin"),
+            lambda: sweeps("figure_5_9", f"{FAR_FIELD} converges faster than Builtin"),
         ),
         (
             "it takes {:.2f} times Builtin's sweeps, with an interval of {:.2f} to {:.2f}",
-            lambda: not_efficient("model.h5")[0],
+            lambda: not_efficient(FAR_FIELD)[0],
         ),
         ("reach this θ within 20,000 sweeps: {} of {} from Copy, {} from Builtin, {} from", reached),
         (
             "takes {:.2f} times Builtin's time, with an interval of {:.2f} to {:.2f}, and the thesis's network, "
             "rebuilt, takes {:.2f} times its time, with an interval of {:.2f} to {:.2f}",
-            lambda: [*not_efficient("model.h5")[1], *not_efficient("thesis_factored.h5")[1]],
+            lambda: [*not_efficient(FAR_FIELD)[1], *not_efficient(CNN)[1]],
         ),
         ("five channels of input and {:,} weights", lambda: weights_of_thesis()[:1]),
         ("Its rate began at {:g}, as in Appendix B, where Table 5.2 has {:g}", first_rates),
@@ -680,7 +685,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         (
             "Its θ after 100 sweeps is {:.2f} of None's, or {:.2f} read as in their code (Figure 5.9)",
             lambda: [
-                ratio_after("figure_5_9", f"CNN (thesis_factored.h5){read} is a start", 100)[0]
+                ratio_after("figure_5_9", f"{CNN}{read} is a start", 100)[0]
                 for read in READ_NETWORK.values()
             ],
         ),

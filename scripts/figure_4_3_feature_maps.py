@@ -136,7 +136,7 @@ def draw(data, options):
     return figure
 
 
-OPTIONS = {"model": "models/thesis_factored.h5", "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4}
+OPTIONS = {"model": "models/model.h5", "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4}
 OPTIONS |= {"scenes": 12}
 FIGURE = Figure("4.3", "Feature maps of the trained network on a state of the falling pile", compute, table, draw,
                 claims, options=OPTIONS, quick={"scenes": 2}, seed=5, digits=4)  # fmt: skip

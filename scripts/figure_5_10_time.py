@@ -236,6 +236,6 @@ OPTIONS = starts.THESIS_WORLD | {
     "sizes": [100, 1000], "scenes": 10, "states": [4, 1], "every": [25, 100], "most": [10000, 20000], "repeats": 3,
     "spacing": starts.SPACING, "networks": chapter_5.NETWORKS,
 }  # fmt: skip
-QUICK = {"sizes": [100, 300], "scenes": 1, "most": [5000, 5000], "networks": {"cnn": chapter_5.NETWORKS["cnn"]}}
+QUICK = {"sizes": [100, 300], "scenes": 1, "most": [5000, 5000]}
 FIGURE = Figure("5.10", TITLE, compute, table, draw, claims, options=OPTIONS, quick=QUICK, seed=510)
 figures.run_as_script(FIGURE, __name__)

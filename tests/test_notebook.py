@@ -118,7 +118,7 @@ def test_nothing_writes_into_a_state(locked):
     for array in (*state.bodies, *state.contacts):
         array.flags.writeable = not locked
     for solver in (dc.PGS(), dc.BatchedPGS()):
-        for start in ("none", "builtin", "sph", "cnn"):
+        for start in ("none", "builtin", "sph", "far field"):
             dc.simulate(state, steps=3, solver=solver, warm_start=start)
             dc.solve_contacts(state, solver=solver, start=start)
     assert state == before

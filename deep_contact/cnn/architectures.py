@@ -40,7 +40,7 @@ def thesis(
     channels: int = len(CHANNELS),
     targets: int = len(TARGETS),
     stacks: Sequence[tuple[int, Sequence[int]]] = THESIS_STACKS,
-    dropout: float = 0.1,
+    dropout: float | Sequence[float] = 0.1,
     weight_decay: float = 1e-4,
     rank: int | None = None,
 ) -> keras.Model:
@@ -51,7 +51,8 @@ def thesis(
     as in the thesis.
 
     targets: maps that it gives; goal 8 of the thesis is one for each impulse.
-    stacks: filters and sides of the kernels; all but the last are pooled. dropout: after every stack (Table 5.1).
+    stacks: filters and sides of the kernels; all but the last are pooled. dropout: rate after every stack (Table 5.1),
+    or one rate a stack; Appendix B has dropout after the last stack only.
     weight_decay: of the L2 regulariser; the value is that of the authors' code, the thesis prints none.
     rank: the matrix of the last layer, 244 MB, is a product of two of this rank; None: it is whole, as in the thesis.
     Raises ValueError naming the option and the value.
@@ -61,7 +62,11 @@ def thesis(
     n_y, n_x = (integer(f"shape[{i}]", n, 1) for i, n in enumerate(shape))
     integer("channels", channels, 1)
     integer("targets", targets, 1)
-    number("dropout", dropout, 0, below=1)
+    rates = [dropout] * len(stacks) if isinstance(dropout, (int, float)) else list(dropout)
+    if len(rates) != len(stacks):
+        raise ValueError(f"dropout: expected a rate, or one for each of {len(stacks)} stacks, got {dropout!r}")
+    for rate in rates:
+        number("dropout", rate, 0, below=1)
     number("weight_decay", weight_decay, 0)
     same = {"padding": "same", "activation": "relu", "kernel_initializer": "he_normal"}
     stack = [keras.Input((n_y, n_x, channels), name="bodies")]
@@ -70,7 +75,7 @@ def thesis(
             decay = keras.regularizers.L2(weight_decay)
             name = f"convolution_{stage}_{turn}"
             stack.append(layers.Conv2D(filters, side, kernel_regularizer=decay, name=name, **same))
-        stack.append(layers.Dropout(dropout, name=f"dropout_{stage}"))
+        stack.append(layers.Dropout(rates[stage - 1], name=f"dropout_{stage}"))
         if stage < len(stacks):
             stack.append(layers.MaxPooling2D(2, strides=2, padding="same", name=f"pooling_{stage}"))
             if stage in _NORMALIZED:

@@ -33,10 +33,12 @@ _compiling = RLock()
 
 
 def load_model(path=None) -> LearnedModel:
-    """The model of a file, or of a name in `models/registry.json`; by default the shipped model, "model".
+    """The model of a file, or of a name in `models/registry.json`: "model", "far field", "far field, no past".
 
-    No code in the file is run. Raises FileNotFoundError where there is none, `ModelFileError` (a ValueError) where it
-    is damaged, foreign or changed, naming the field.
+    By default "model", the thesis's network, for the thesis's box of 30 m × 30 m. It needs Keras; the far-field
+    networks do not, and take any box. No code in the file is run. Raises FileNotFoundError where there is no file,
+    ModuleNotFoundError where Keras is needed and missing, and `ModelFileError` (a ValueError) where the file is
+    damaged, foreign or changed, naming the field.
     """
     path = network_file(path)
     network, spec, metadata = read_model(path)
@@ -180,7 +182,8 @@ class LearnedModel:
         extent, shape = (x_max - x_min, y_max - y_min), spec.shape(state.world)
         if None not in size and self.box and not np.allclose(extent, self.box, rtol=1e-6, atol=0.0):
             expected = f"a scene of {self.box[0]:g} m × {self.box[1]:g} m, for which the network was trained"
-            raise ModelFileError(f"box: expected {expected}, got {extent[0]:g} m × {extent[1]:g} m")
+            got = f"got {extent[0]:g} m × {extent[1]:g} m"
+            raise ModelFileError(f'box: expected {expected}, {got}; the network "far field" takes any box')
         if None not in size and shape != size:
             raise ModelFileError(f"shape: expected images of {size} nodes, the network's only size, got {shape}")
 
@@ -205,13 +208,13 @@ class LearnedModel:
 class FarFieldModel(LearnedModel):
     """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds.
 
-    It warns of a state that holds none: `warm_start.LearnedSupport` predicts from positions alone.
+    It warns of a state that holds none: `warm_start.FarFieldNoPast` predicts from positions alone.
     """
 
     def predict(self, state, *, project=True, problem=None) -> Any:
         contacts = state.contacts if isinstance(state, State) and problem is None else None
         if contacts is not None and contacts.count and not contacts.have_past:
-            hint = "expected impulses, which this network corrects, got none; warm_start.LearnedSupport needs none"
+            hint = "expected impulses, which this network corrects, got none; warm_start.FarFieldNoPast needs none"
             warnings.warn(f"state.contacts: {hint}", stacklevel=2)
         return super().predict(state, project=project, problem=problem)
 

@@ -15,6 +15,9 @@ from deep_contact.validation import brief, expect
 FOLDER = "DEEP_CONTACT_MODELS"
 """Environment variable: a folder that is searched before the shipped `models/`."""
 
+RENAMED = {"no_past": "far field, no past", "thesis_factored": "model"}
+"""Name of a network before -> its name now."""
+
 
 OWN = "LearnedModel(source=keras.models.load_model(…), spec=ImageSpec(…)) of deep_contact.cnn takes your own network"
 """What to do with a network that Keras has made."""
@@ -23,8 +26,9 @@ OWN = "LearnedModel(source=keras.models.load_model(…), spec=ImageSpec(…)) of
 def network_file(model=None) -> Path:
     """A model file by its name in the registry (default "model"), or by its path from the current folder or `ROOT`.
 
-    Where "models/x.h5" does not exist, it is the registered "x". Raises FileNotFoundError where there is none, and
-    ModelFileError where the file of a registered name has another SHA-256 than the registry says.
+    Where "models/x.h5" does not exist, it is the registered file "x.h5". Raises FileNotFoundError where there is none,
+    ValueError on a name of an earlier version, and ModelFileError where the file of a registered name has another
+    SHA-256 than the registry says.
     """
     is_name = model is None or isinstance(model, (str, os.PathLike))
     expect(is_name, f"model: expected a name or the path of a file of this package, got {brief(model)}; {OWN}")
@@ -33,10 +37,12 @@ def network_file(model=None) -> Path:
     for place in () if text in known else (Path(text), ROOT / text):
         if place.exists() and not place.is_dir():
             return place
-    name = text.removeprefix("models/").removesuffix(".h5")
+    stem = text.removeprefix("models/").removesuffix(".h5")
+    name = {Path(entry["file"]).stem: name for name, entry in known.items()}.get(stem, stem)
     if name not in known:
+        expect(stem not in RENAMED, f"model file: {text} is called {RENAMED.get(stem)!r} now")
         raise FileNotFoundError(
-            f"model file: expected a file or one of {', '.join(known)}, got {text}, which does not exist; "
+            f"model file: expected a file or one of {', '.join(map(repr, known))}, got {text}, which does not exist; "
             "`deep-contact train` makes one"
         )
     entry = known[name]

@@ -47,9 +47,8 @@ START_STYLE = {
         ("sph spline", SKY, "-", "SPH, spline"),
         ("sph consistent", BLUE, "-", "SPH, consistent"),
         ("copy", GREEN, "-.", "Copy"),
-        ("cnn", PURPLE, "-", "CNN, model.h5"),
-        ("cnn thesis", PURPLE, "--", "CNN, thesis_factored.h5"),
-        ("far field", PURPLE, "-", "CNN, model.h5"),
+        ("cnn", PURPLE, "-", "CNN, the thesis's network"),
+        ("far field", ORANGE, "-", "far field, ours"),
         ("best classical", BLACK, "-", "Best classical"),
     )
 }

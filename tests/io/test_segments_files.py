@@ -96,10 +96,8 @@ def test_pictures_show_segments(run):
     plotting.body_values(run.state, "impulse")
 
 
-@pytest.mark.parametrize("start", ["copy", "scaled", "sph", "cnn"])
+@pytest.mark.parametrize("start", ["copy", "scaled", "sph", "far field"])
 def test_starts_take_contacts_with_segments_as_with_walls(run, start):
-    if start == "cnn":
-        pytest.importorskip("tensorflow")
     solution = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=30_000, tolerance=1e-10), start=start)
     plain = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=30_000, tolerance=1e-10))
     np.testing.assert_allclose(solution.velocities, plain.velocities, atol=1e-4)

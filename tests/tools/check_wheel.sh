@@ -85,23 +85,18 @@ dc.write_state("later.xml", run.state)
 assert dc.recommend(run.state).solver.sweeps > 0
 dc.plan(run.state)
 state = dc.read_state(dc.sample_file())
+assert dc.load_model().card["architecture"] == "thesis"
 normal, tangent = dc.load_model().predict(state)
 assert normal.shape == tangent.shape == (state.contacts.count,)
-for start in ("builtin", "cnn", (normal, tangent)):
+for start in ("builtin", "cnn", "far field", (normal, tangent)):
     assert dc.solve_contacts(state, solver=dc.PGS(sweeps=30), start=start).record.sweeps > 0
-dc.load_model("model")
-try:
-    dc.load_model("thesis_factored")
-except FileNotFoundError as error:
-    assert "source repository" in str(error), error
-else:
-    raise AssertionError("thesis_factored: expected it outside of the wheel")
+dc.load_model("far field, no past")
 CHECKS
 deep-contact --version
-deep-contact simulate later.xml --steps 20 --warm-start cnn --out run.h5
+deep-contact simulate later.xml --steps 20 --warm-start "far field" --out run.h5
 deep-contact predict --no-pictures "$(deep-contact sample rest_362)"
 deep-contact generate-data --quick --jobs 1
-deep-contact train --from model --data data/generated/quick --epochs 1 --states-per-epoch 32 --out trained
+deep-contact train --from "far field" --data data/generated/quick --epochs 1 --states-per-epoch 32 --out trained
 deep-contact simulate --bodies 10 --steps 8 --every 4 --out film.gif
 deep-contact figure 5.3 --quick > figure.txt
 deep-contact table 5.1 --quick > table.txt
