@@ -47,9 +47,9 @@ def _beside(path: str | os.PathLike) -> Iterator[tuple[Path, Path]]:
     try:
         yield target, temporary
     except OSError as error:
-        if error.filename == str(temporary):
-            error.filename, error.filename2 = str(path), None
-        raise
+        if error.errno is None or error.filename not in (None, str(temporary)):
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
         temporary.unlink(missing_ok=True)
 
