@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -17,8 +16,8 @@ if TYPE_CHECKING:
     from deep_contact.io.simulation_h5 import StoredSimulation
     from deep_contact.state import State, StateWithContacts, World
 
-MOST_FRAMES = 40
-"""Of the film in a notebook, which keeps it."""
+MOST_SHOWN = 200_000
+"""Most circles, of all states together, of the page in a notebook, which keeps it: some 2 MB."""
 
 
 def _array(*names: str) -> property:
@@ -87,11 +86,14 @@ class Trajectory:
         return f"Trajectory({self.positions.shape[1]} circles, {len(self)} states, {t[0]:g} to {t[-1]:g} s, {contacts})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: a film of at most `MOST_FRAMES` states, at the run's own speed."""
-        seconds, every = max(float(self.times[-1] - self.times[0]), 1e-3), -(-len(self) // MOST_FRAMES)
-        with TemporaryDirectory() as folder:
-            film = self.film(Path(folder, "run.gif"), fps=max(len(self) / every / seconds, 1.0), size=400, every=every)
-            return notebook.image("gif", film.read_bytes())
+        """What a notebook shows: the page that plays the run, of at most `MOST_SHOWN` circles in all its states."""
+        from deep_contact.reporting.player import page
+
+        circles = self.positions.shape[1]
+        if circles > MOST_SHOWN // 2:
+            return notebook.shown(repr(self), [("too large to play here", "trajectory.film(….html) makes a page")])
+        every = -(-len(self) * circles // MOST_SHOWN)
+        return notebook.framed(page([self[i] for i in range(0, len(self), max(every, 1))]))
 
     times, positions, velocities = _array("time"), _array("position"), _array("velocity")
     angles, spins, offsets = _array("angle"), _array("spin"), _array("contact_offset")

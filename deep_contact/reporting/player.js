@@ -5,7 +5,8 @@ const player = (() => {
   const TURN = 2 * Math.PI / 65536;
   const STEPS = 65535;
   const SHADES = 32;
-  const WIDTHS = 12;
+  const WIDEST = 6;  // of a force's line, pixels of the page
+  const FIXED = [136, 136, 136], DARK = [34, 34, 34], LIGHT = [255, 255, 255];
   const PACES = [0.1, 0.2, 0.5, 1, 2, 5, 10];
   // Every sixteenth colour of viridis, which is linear enough between them.
   const VIRIDIS = "440154 481a6c 472f7d 414487 39568c 31688e 2a788e 23888e 1f988b 22a884 35b779 54c568 7ad151 a5db36 d2e21b fde725"
@@ -51,7 +52,7 @@ const player = (() => {
 
   // The run of a page. columns: name -> bytes in planes.
   function runOf(data, columns) {
-    const circles = offsetsOf(data.circles), lines = offsetsOf(data.segments.map(ends => 2 * ends));
+    const circles = offsetsOf(data.circles), lines = offsetsOf(data.segments.map(count => 4 * count));
     const contacts = offsetsOf(data.contacts), found = {};
     for (const [name, bytes] of Object.entries(columns)) {
       found[name] = unfold(bytes);
@@ -166,13 +167,13 @@ const player = (() => {
     return parts.join(" · ");
   }
 
-  // ---- the view: metres to pixels ----
+  // ---- the view: metres to pixels of the canvas ----
 
-  // The whole box in so many pixels.
-  function wholeView(box, width, height) {
-    const [xMin, yMin, xMax, yMax] = box;
-    const scale = Math.min((width - 24) / (xMax - xMin), (height - 24) / (yMax - yMin));
-    return {x: (xMin + xMax) / 2, y: (yMin + yMax) / 2, scale, width, height};
+  // The whole box in so many pixels. ratio: pixels of the canvas for one of the page.
+  function wholeView(box, width, height, ratio) {
+    const [xMin, yMin, xMax, yMax] = box, margin = 24 * ratio;
+    const scale = Math.max(Math.min((width - margin) / (xMax - xMin), (height - margin) / (yMax - yMin)), 1e-300);
+    return {x: (xMin + xMax) / 2, y: (yMin + yMax) / 2, scale, width, height, ratio};
   }
 
   const toPixels = (view, x, y) => [view.width / 2 + (x - view.x) * view.scale, view.height / 2 - (y - view.y) * view.scale];
@@ -190,142 +191,146 @@ const player = (() => {
     return [5, 2, 1].find(step => step * decade <= value) * decade;
   }
 
+  // ---- discs and lines into pixels: a canvas without a graphics card takes five times as long for a thousand ----
+
+  // "#d55e00" -> [213, 94, 0]
+  const rgb = hex => [1, 3, 5].map(at => parseInt(hex.slice(at, at + 2), 16));
+  const word = ([red, green, blue]) => (255 << 24 | blue << 16 | green << 8 | red) >>> 0;
+
+  // One pixel, covered by a share from 0 to 1.
+  function blend(pixels, at, red, green, blue, share) {
+    const under = pixels[at], r = under & 255, g = under >> 8 & 255, b = under >> 16 & 255;
+    pixels[at] = 255 << 24 | b + (blue - b) * share << 16 | g + (green - g) * share << 8 | r + (red - r) * share;
+  }
+
+  // A disc with an edge one pixel wide. picture: {pixels, width, height}, a word for each pixel.
+  function disc({pixels, width, height}, u, v, r, colour, edge) {
+    const filled = word(colour), inside = r - 1.5, far = r + 0.5;
+    const red = colour[0], green = colour[1], blue = colour[2], more = [edge[0] - red, edge[1] - green, edge[2] - blue];
+    const top = Math.max(0, Math.floor(v - far)), bottom = Math.min(height - 1, Math.floor(v + far));
+    for (let row = top; row <= bottom; row++) {
+      const dy = row + 0.5 - v, outer = far * far - dy * dy;
+      if (outer <= 0) continue;
+      const first = Math.max(0, Math.floor(u - Math.sqrt(outer))), last = Math.min(width - 1, Math.floor(u + Math.sqrt(outer)));
+      const inner = inside > 0 ? inside * inside - dy * dy : -1;
+      let from = last + 1, to = last + 1;  // of the pixels that are inside
+      if (inner > 0) {
+        from = Math.min(Math.max(first, Math.ceil(u - Math.sqrt(inner) - 0.5)), last + 1);
+        to = Math.max(from, Math.min(last + 1, Math.floor(u + Math.sqrt(inner) + 0.5)));
+        pixels.fill(filled, row * width + from, row * width + to);
+      }
+      for (let column = first; column <= last; column++) {
+        if (column === from && to > from) { column = to - 1; continue; }
+        const dx = column + 0.5 - u, distance = Math.sqrt(dx * dx + dy * dy), share = Math.min(1, far - distance);
+        if (share <= 0) continue;
+        const isEdge = Math.min(Math.max(distance - inside, 0), 1);
+        blend(pixels, row * width + column, red + more[0] * isEdge, green + more[1] * isEdge, blue + more[2] * isEdge, share);
+      }
+    }
+  }
+
+  // A line with round ends, `half` wide to both sides.
+  function line({pixels, width, height}, u0, v0, u1, v1, half, colour) {
+    const du = u1 - u0, dv = v1 - v0, square = du * du + dv * dv || 1, far = half + 0.5;
+    const red = colour[0], green = colour[1], blue = colour[2];
+    const top = Math.max(0, Math.floor(Math.min(v0, v1) - far)), bottom = Math.min(height - 1, Math.floor(Math.max(v0, v1) + far));
+    const wide = dv === 0 ? Infinity : far * Math.sqrt(square) / Math.abs(dv);
+    const left = Math.max(0, Math.min(u0, u1) - far), right = Math.min(width - 1, Math.max(u0, u1) + far);
+    for (let row = top; row <= bottom; row++) {
+      const dy = row + 0.5 - v0, middle = dv === 0 ? 0 : u0 + dy * du / dv, reach = wide + Math.abs(du / (dv || 1));
+      const first = Math.floor(Math.max(left, middle - reach)), last = Math.min(right, middle + reach);
+      for (let column = first; column <= last; column++) {
+        const dx = column + 0.5 - u0, along = Math.min(Math.max((dx * du + dy * dv) / square, 0), 1);
+        const x = dx - along * du, y = dy - along * dv, away = x * x + y * y;
+        if (away < far * far) blend(pixels, row * width + column, red, green, blue, Math.min(far - Math.sqrt(away), 1));
+      }
+    }
+  }
+
   // ---- the picture ----
 
-  // Draw state k. look: {colour, forces, picked, edge, text, force, halo, mark}.
+  // Paint circles and forces of state k. look: {colour, forces, back, edge, force, halo}.
+  function paint(picture, run, k, view, look) {
+    picture.pixels.fill(word(rgb(look.back)));
+    const [value, least, most] = run.ways[look.colour], span = most - least || 1, edge = rgb(look.edge);
+    for (let i = run.offsets[k]; i < run.offsets[k + 1]; i++) {
+      const [u, v] = toPixels(view, xOf(run, i), yOf(run, i)), r = Math.max(run.radius[i] * view.scale, 0.5);
+      if (u + r < 0 || u - r > view.width || v + r < 0 || v - r > view.height) continue;
+      const share = (value(i, k) - least) / span, isFixed = !Number.isFinite(share);
+      const colour = isFixed ? FIXED : shades[Math.round(Math.min(Math.max(share, 0), 1) * (SHADES - 1))];
+      const shown = Math.min(Math.max(r / 4 - 0.5, 0), 1);  // small circles have no edge
+      disc(picture, u, v, r, colour, edge.map((part, j) => colour[j] + shown * (part - colour[j])));
+      if (r < 4) continue;
+      const dx = r * Math.cos(run.angle[i] * TURN), dy = -r * Math.sin(run.angle[i] * TURN);
+      line(picture, u + 0.5 * dx, v + 0.5 * dy, u + 0.9 * dx, v + 0.9 * dy, 0.6 * view.ratio, isLight(colour) ? DARK : LIGHT);
+    }
+    if (look.forces) paintForces(picture, run, k, view, look);
+  }
+
+  function paintForces(picture, run, k, view, look) {
+    for (const [colour, more] of [[rgb(look.halo), 0.8], [rgb(look.force), 0]]) {
+      for (let c = run.contactOffsets[k]; c < run.contactOffsets[k + 1]; c++) {
+        const share = Math.min(force(run.normal[c], run.topForce) / run.widest, 1);
+        if (!(share > 0.004)) continue;
+        const a = run.a[c], i = run.offsets[k] + a, end = endOf(run, k, a, a + run.b[c]);
+        const half = (0.2 + WIDEST / 2 * share + more) * view.ratio;
+        line(picture, ...toPixels(view, xOf(run, i), yOf(run, i)), ...toPixels(view, ...end), half, colour);
+      }
+    }
+  }
+
+  // Walls, segments, the circle that was picked and the scale, above the pixels. look: {text, mark, halo, picked}.
   function draw(context, run, k, view, look) {
-    context.clearRect(0, 0, view.width, view.height);
-    drawCircles(context, run, k, view, look);
-    drawWalls(context, run, k, view, look);
-    if (look.forces) drawForces(context, run, k, view, look);
+    const [left, top] = toPixels(view, run.box[0], run.box[3]), [right, bottom] = toPixels(view, run.box[2], run.box[1]);
+    context.strokeStyle = context.fillStyle = look.text;
+    context.lineWidth = 2 * view.ratio;
+    context.strokeRect(left, top, right - left, bottom - top);
+    context.beginPath();
+    for (let s = 0; s < run.segments[k]; s++) {
+      const [x0, y0, x1, y1] = segment(run, k, s);
+      context.moveTo(...toPixels(view, x0, y0));
+      context.lineTo(...toPixels(view, x1, y1));
+      const drags = Math.sign(run.surfaces[s] || 0);
+      if (drags) drawArrowhead(context, view, drags, x0, y0, x1, y1);
+    }
+    context.stroke();
     const picked = run.offsets[k] + look.picked;
     if (look.picked >= 0 && look.picked < run.circles[k]) {
       context.strokeStyle = look.mark;
-      context.lineWidth = 2.5;
       context.beginPath();
-      context.arc(...toPixels(view, xOf(run, picked), yOf(run, picked)), Math.max(run.radius[picked] * view.scale, 2) + 2, 0, 2 * Math.PI);
+      const [u, v] = toPixels(view, xOf(run, picked), yOf(run, picked));
+      context.arc(u, v, Math.max(run.radius[picked] * view.scale, 2) + 2 * view.ratio, 0, 2 * Math.PI);
       context.stroke();
     }
     drawScale(context, view, look);
   }
 
-  // Circles of one colour are one path: a thousand paths take longer.
-  function drawCircles(context, run, k, view, look) {
-    const [value, least, most] = run.ways[look.colour], span = most - least || 1;
-    const groups = Array.from({length: SHADES + 1}, () => []);
-    for (let i = run.offsets[k]; i < run.offsets[k + 1]; i++) {
-      const [u, v] = toPixels(view, xOf(run, i), yOf(run, i)), r = run.radius[i] * view.scale;
-      if (u + r < 0 || u - r > view.width || v + r < 0 || v - r > view.height) continue;
-      const share = (value(i, k) - least) / span;
-      const group = Number.isFinite(share) ? Math.min(Math.max(Math.round(share * (SHADES - 1)), 0), SHADES - 1) : SHADES;
-      groups[group].push(u, v, Math.max(r, 0.5), run.angle[i] * TURN);
-    }
-    const ticks = {"#222222": [], "#ffffff": []};
-    groups.forEach((circles, group) => {
-      if (!circles.length) return;
-      const colour = group < SHADES ? shades[group] : [136, 136, 136];
-      context.fillStyle = `rgb(${colour})`;
-      context.beginPath();
-      for (let i = 0; i < circles.length; i += 4) {
-        context.moveTo(circles[i] + circles[i + 2], circles[i + 1]);
-        context.arc(circles[i], circles[i + 1], circles[i + 2], 0, 2 * Math.PI);
-      }
-      context.fill();
-      ticks[isLight(colour) ? "#222222" : "#ffffff"].push(circles);
-    });
-    context.strokeStyle = look.edge;
-    context.lineWidth = 0.7;
-    context.beginPath();
-    for (const circles of groups) {
-      for (let i = 0; i < circles.length; i += 4) {
-        if (circles[i + 2] < 2.5) continue;
-        context.moveTo(circles[i] + circles[i + 2], circles[i + 1]);
-        context.arc(circles[i], circles[i + 1], circles[i + 2], 0, 2 * Math.PI);
-      }
-    }
-    context.stroke();
-    context.lineWidth = 1.2;
-    for (const [colour, of] of Object.entries(ticks)) {
-      context.strokeStyle = colour;
-      context.beginPath();
-      for (const circles of of) {
-        for (let i = 0; i < circles.length; i += 4) {
-          const [u, v, r, angle] = circles.slice(i, i + 4);
-          if (r < 4) continue;
-          const dx = r * Math.cos(angle), dy = -r * Math.sin(angle);
-          context.moveTo(u + 0.5 * dx, v + 0.5 * dy);
-          context.lineTo(u + 0.93 * dx, v + 0.93 * dy);
-        }
-      }
-      context.stroke();
-    }
-  }
-
-  function drawWalls(context, run, k, view, look) {
-    const [left, top] = toPixels(view, run.box[0], run.box[3]), [right, bottom] = toPixels(view, run.box[2], run.box[1]);
-    context.strokeStyle = context.fillStyle = look.text;
-    context.lineWidth = 2;
-    context.strokeRect(left, top, right - left, bottom - top);
-    context.beginPath();
-    for (let s = 0; s < run.segments[k] / 2; s++) {
-      const [x0, y0, x1, y1] = segment(run, k, s);
-      context.moveTo(...toPixels(view, x0, y0));
-      context.lineTo(...toPixels(view, x1, y1));
-      const drags = Math.sign(run.surfaces[s] || 0);
-      if (drags) {  // a belt: an arrowhead at its middle
-        const [u, v] = toPixels(view, (x0 + x1) / 2, (y0 + y1) / 2), long = Math.hypot(x1 - x0, y1 - y0);
-        const dx = drags * 8 * (x1 - x0) / long, dy = -drags * 8 * (y1 - y0) / long;
-        context.moveTo(u - dx - dy / 2, v - dy + dx / 2);
-        context.lineTo(u, v);
-        context.lineTo(u - dx + dy / 2, v - dy - dx / 2);
-      }
-    }
-    context.stroke();
-  }
-
-  function drawForces(context, run, k, view, look) {
-    const groups = Array.from({length: WIDTHS + 1}, () => []);
-    for (let c = run.contactOffsets[k]; c < run.contactOffsets[k + 1]; c++) {
-      const share = Math.min(force(run.normal[c], run.topForce) / run.widest, 1);
-      if (!(share > 0.004)) continue;
-      const a = run.a[c], i = run.offsets[k] + a;
-      const from = toPixels(view, xOf(run, i), yOf(run, i)), to = toPixels(view, ...endOf(run, k, a, a + run.b[c]));
-      groups[Math.ceil(share * WIDTHS)].push(...from, ...to);
-    }
-    context.lineCap = "round";
-    for (const [colour, more] of [[look.halo, 1.6], [look.force, 0]]) {
-      context.strokeStyle = colour;
-      groups.forEach((lines, group) => {
-        if (!lines.length) return;
-        context.lineWidth = 0.4 + 6 * group / WIDTHS + more;
-        context.beginPath();
-        for (let i = 0; i < lines.length; i += 4) {
-          context.moveTo(lines[i], lines[i + 1]);
-          context.lineTo(lines[i + 2], lines[i + 3]);
-        }
-        context.stroke();
-      });
-    }
-    context.lineCap = "butt";
+  // At the middle of a belt, the way in which it drags.
+  function drawArrowhead(context, view, drags, x0, y0, x1, y1) {
+    const [u, v] = toPixels(view, (x0 + x1) / 2, (y0 + y1) / 2), long = Math.hypot(x1 - x0, y1 - y0) / (8 * view.ratio * drags);
+    const du = (x1 - x0) / long, dv = (y0 - y1) / long;
+    context.moveTo(u - du - dv / 2, v - dv + du / 2);
+    context.lineTo(u, v);
+    context.lineTo(u - du + dv / 2, v - dv - du / 2);
   }
 
   function drawScale(context, view, look) {
-    const metres = roundDown(Math.min(140, view.width / 3) / view.scale), long = metres * view.scale;
-    const text = `${short(metres)} m`, y = view.height - 12;
-    context.font = "13px system-ui, sans-serif";
+    const one = view.ratio, metres = roundDown(Math.min(140 * one, view.width / 3) / view.scale), long = metres * view.scale;
+    const text = `${short(metres)} m`, y = view.height - 12 * one, x = 14 * one;
+    context.font = `${13 * one}px system-ui, sans-serif`;
     context.fillStyle = look.halo;
     context.globalAlpha = 0.8;
-    context.fillRect(8, y - 9, long + context.measureText(text).width + 22, 18);
+    context.fillRect(x - 6 * one, y - 9 * one, long + context.measureText(text).width + 22 * one, 18 * one);
     context.globalAlpha = 1;
     context.strokeStyle = context.fillStyle = look.text;
-    context.lineWidth = 1.5;
+    context.lineWidth = 1.5 * one;
     context.beginPath();
-    context.moveTo(14, y - 5); context.lineTo(14, y + 5);
-    context.moveTo(14, y); context.lineTo(14 + long, y);
-    context.moveTo(14 + long, y - 5); context.lineTo(14 + long, y + 5);
+    for (const end of [x, x + long]) { context.moveTo(end, y - 5 * one); context.lineTo(end, y + 5 * one); }
+    context.moveTo(x, y);
+    context.lineTo(x + long, y);
     context.stroke();
     context.textBaseline = "middle";
-    context.fillText(text, 20 + long, y);
+    context.fillText(text, x + long + 6 * one, y);
   }
 
   // ---- the document ----
@@ -342,9 +347,9 @@ const player = (() => {
     document.title = data.name;
     part("name").textContent = part("name").title = data.name;
     for (const [name, text] of Object.entries(data.columns)) columns[name] = await unpacked(text);
-    const run = runOf(data, columns), canvas = part("scene"), context = canvas.getContext("2d");
+    const run = runOf(data, columns), canvas = part("scene"), context = canvas.getContext("2d", {willReadFrequently: true});
     const look = {colour: run.colours ? "your column" : "speed", forces: false, picked: -1};
-    let view = null, isWhole = true, k = 0, moment = 0, isPlaying = false, before = 0, hovered = -1, isDue = false;
+    let view = null, image = null, picture = null, isWhole = true, k = 0, moment = 0, isPlaying = false, before = 0, hovered = -1, isDue = false;
 
     for (const [list, names] of [[part("pace"), PACES], [part("colour"), Object.keys(run.ways)]]) {
       for (const name of names) list.add(new window.Option(list === part("pace") ? `${name} ×` : name, name));
@@ -360,32 +365,37 @@ const player = (() => {
 
     function takeColours() {
       const style = window.getComputedStyle(document.documentElement);
-      for (const name of ["edge", "text", "force", "halo", "mark"]) look[name] = style.getPropertyValue(`--${name}`).trim();
+      for (const name of ["back", "edge", "text", "force", "halo", "mark"]) look[name] = style.getPropertyValue(`--${name}`).trim();
     }
 
     function fit() {
-      const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
+      const ratio = window.devicePixelRatio || 1;
+      const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
       if (!width || !height) return;
-      canvas.width = Math.round(width * ratio);
-      canvas.height = Math.round(height * ratio);
-      context.setTransform(ratio, 0, 0, ratio, 0, 0);
-      view = isWhole || !view ? wholeView(run.box, width, height) : {...view, width, height};
+      [canvas.width, canvas.height] = [width, height];
+      image = context.createImageData(width, height);
+      picture = {pixels: new Uint32Array(image.data.buffer), width, height};
+      view = isWhole || !view ? wholeView(run.box, width, height, ratio) : {...view, width, height, ratio};
       redraw();
     }
 
     // Draw with the next picture of the screen, once.
     function redraw() {
-      if (!isDue) { isDue = true; window.requestAnimationFrame(now => { isDue = false; picture(now); }); }
+      if (!isDue) { isDue = true; window.requestAnimationFrame(now => { isDue = false; shown(now); }); }
     }
 
-    function picture(now) {
+    function shown(now) {
       if (isPlaying) {
         moment += before ? (now - before) / 1000 * Number(part("pace").value) : 0;
         before = now;
         k = stateAt(run, moment);
         if (k === run.count - 1) play(false);
       }
-      if (view) draw(context, run, k, view, look);
+      if (view) {
+        paint(picture, run, k, view, look);
+        context.putImageData(image, 0, 0);
+        draw(context, run, k, view, look);
+      }
       part("slider").value = k;
       part("clock").textContent = `t = ${run.times[k].toFixed(run.decimals)} s · ${k + 1} / ${run.count}`;
       part("under").textContent = described(run, k, hovered >= 0 ? hovered : look.picked) || "point at a circle, or write its number";
@@ -440,7 +450,7 @@ const player = (() => {
       c: () => { const names = Object.keys(run.ways); colourBy(names[(names.indexOf(look.colour) + 1) % names.length]); },
       f: () => { if (!part("forces").disabled) { part("forces").checked = !part("forces").checked; toggleForces(); } },
     };
-    const moves = {ArrowLeft: [40, 0], ArrowRight: [-40, 0], ArrowUp: [0, 40], ArrowDown: [0, -40]};
+    const moves = {ArrowLeft: [80, 0], ArrowRight: [-80, 0], ArrowUp: [0, 80], ArrowDown: [0, -80]};
     document.addEventListener("keydown", event => {
       const at = event.target, kind = at.type;
       // What has the focus keeps the keys that it needs itself.
@@ -465,15 +475,16 @@ const player = (() => {
     };
 
     // One pointer drags, two zoom; a click picks a circle.
+    const placeOf = event => [event.offsetX * view.ratio, event.offsetY * view.ratio];
     const pointers = new Map();
     let dragged = 0;
     canvas.onpointerdown = event => {
       canvas.setPointerCapture(event.pointerId);
-      pointers.set(event.pointerId, [event.offsetX, event.offsetY]);
+      pointers.set(event.pointerId, placeOf(event));
       dragged = 0;
     };
     canvas.onpointermove = event => {
-      const here = [event.offsetX, event.offsetY], last = pointers.get(event.pointerId);
+      const here = placeOf(event), last = pointers.get(event.pointerId);
       if (last) {
         const others = [...pointers].filter(([id]) => id !== event.pointerId).map(([, place]) => place);
         dragged += Math.hypot(here[0] - last[0], here[1] - last[1]);
@@ -489,14 +500,14 @@ const player = (() => {
     canvas.onpointerup = canvas.onpointercancel = event => {
       pointers.delete(event.pointerId);
       if (dragged > 3 || event.type === "pointercancel") return;
-      look.picked = circleAt(run, k, ...toMetres(view, event.offsetX, event.offsetY));
+      look.picked = circleAt(run, k, ...toMetres(view, ...placeOf(event)));
       part("circle").value = look.picked >= 0 ? look.picked : "";
       redraw();
     };
     canvas.onpointerleave = () => { hovered = -1; redraw(); };
     canvas.addEventListener("wheel", event => {
       event.preventDefault();
-      zoom(Math.exp(-0.0015 * event.deltaY), event.offsetX, event.offsetY);
+      zoom(Math.exp(-0.0015 * event.deltaY), ...placeOf(event));
     }, {passive: false});
 
     window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { takeColours(); redraw(); });
@@ -506,5 +517,5 @@ const player = (() => {
     fit();
   }
 
-  return {start, runOf, draw, stateAt, circleAt, described, endOf, wholeView, zoomed, toPixels, toMetres, roundDown, colourAt, short, xOf, yOf};
+  return {start, runOf, paint, draw, stateAt, circleAt, described, endOf, wholeView, zoomed, toPixels, toMetres, roundDown, colourAt, short, xOf, yOf};
 })();

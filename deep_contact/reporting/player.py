@@ -101,7 +101,7 @@ def page_data(states: Sequence, *, colour=None) -> dict:
         "times": [state.time for state in states],
         "circles": [state.bodies.count for state in states],
         "contacts": [c.count for c in contacts],
-        "segments": [2 * len(of_state) for of_state in ends],
+        "segments": [len(of_state) // 2 for of_state in ends],
         "surfaces": list(world.surface_speeds or ()),
         "topSpeed": fastest,
         "topForce": top_force,
@@ -110,7 +110,7 @@ def page_data(states: Sequence, *, colour=None) -> dict:
     }
     if colour is not None:
         values = _checked_colours(colour, states)
-        every = np.concatenate([*values, np.zeros(not total)])
+        every = np.concatenate([*values, np.zeros(int(not total))])
         least, most = float(every.min()), float(every.max())
         data["colours"] = [least, most]
         columns["colour"] = [np.rint((value - least) * (STEPS / ((most - least) or 1.0))) for value in values]

@@ -326,8 +326,9 @@ def draw_state(
             look = {"colors": colour, "linewidths": width + more, "capstyle": "round"}
             ax.add_collection(LineCollection(contact_lines(state), **look))
     if bar and colour_by is not None and bodies.count:
-        # Inside of the axes' own list, so that clearing the axes removes it.
-        ax.figure.colorbar(circles, cax=ax.inset_axes((1.02, 0.0, 0.03, 1.0)), label=label).outline.set_visible(False)
+        with style():  # inside of the axes' own list, so that clearing the axes removes it
+            place = ax.inset_axes((1.02, 0.0, 0.03, 1.0))
+            ax.figure.colorbar(circles, cax=place, label=label).outline.set_visible(False)
     return circles
 
 
