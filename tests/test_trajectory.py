@@ -120,7 +120,7 @@ def test_an_mp4_gets_the_pictures_or_says_that_ffmpeg_is_missing(run, tmp_path, 
     (tmp_path / "ffmpeg").unlink()
     with_ffmpeg(tmp_path, monkeypatch, None)
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)  # cannot be imported
-    with pytest.raises(ValueError, match="path: expected ffmpeg .*pip install imageio-ffmpeg"):
+    with pytest.raises(ValueError, match=r"path: expected ffmpeg .*pip install imageio-ffmpeg"):
         run.film(tmp_path / "fall.mp4")
     brought = types.SimpleNamespace(get_ffmpeg_exe=lambda: "/of/the/package")
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", brought)

@@ -462,7 +462,7 @@ def test_contact_forces_are_lines_in_newtons_with_the_totals_of_the_walls():
 def test_a_pile_at_rest_is_dark_and_the_bar_goes_with_its_axes():
     """√(g r̄) = 4.43 m/s for circles of 2 m: half of it is the middle of the colours."""
     state = circles_at([[3.0, 3.0], [8.0, 3.0]], radius=2.0, velocity=[[0.01, 0.0], [0.0, 0.0]])
-    figure, ax = plotting.subplots()
+    _, ax = plotting.subplots()
     circles = plotting.draw_state(ax, state)
     assert circles.get_clim() == (0.0, pytest.approx(np.sqrt(9.81 * 2.0)))
     (bar,) = ax.child_axes
