@@ -67,7 +67,7 @@ def draw(data, options):
         figure.colorbar(shown, ax=ax, shrink=0.8, label="mass (kg)" if part["layer"] == "input" else "activation")
         block, _, layer = part["layer"].rpartition(" ")
         name = f"{block}, layer {layer}" if block else layer
-        ax.set_title(f"{name}\n{part['map']}, {len(values)} × {values.shape[1]} nodes")
+        ax.set_title(f"{name}\n{part['map']}\n{len(values)} × {values.shape[1]} nodes")
         ax.axis("off")
     for ax in panels[len(data["panels"]) :]:
         ax.remove()

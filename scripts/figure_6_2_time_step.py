@@ -75,8 +75,8 @@ def draw(data, options):
             values, reach = zip(*map(run_errors.with_reach, values))
             look = {"color": colour, "marker": "o", "markersize": 4, "label": f"{n:,} circles"}
             ax.errorbar(steps, values, np.concatenate(reach, axis=1), **look)
-        for dt, look, text in ((TIME_STEP, "--", "10 ms"), (runs.REFERENCE["dt"], ":", "Δt of the reference")):
-            ax.axvline(dt, color=plotting.GREY, linewidth=0.9, linestyle=look, label=text)
+        for dt, look, line in ((TIME_STEP, "--", "10 ms"), (runs.REFERENCE["dt"], ":", "Δt of the reference")):
+            ax.axvline(dt, color=plotting.GREY, linewidth=0.9, linestyle=look, label=line)
         ax.set_ylabel(text)
         plotting.log_axes(ax)
     for ax in panels[1]:

@@ -112,7 +112,7 @@ def _draw_colours(strip, x: float, y: float, fastest: float) -> None:
 def _draw_force(strip, x: float, y: float, strongest: float) -> None:
     """The widest line, and its force, N."""
     strip.plot([x, x + 28], [y, y], color=plotting.VERMILION, linewidth=plotting.WIDEST, solid_capstyle="butt")
-    strip.text(x + 34, y, f"{strongest:.2g} N", **_LETTERS)
+    strip.text(x + 34, y, f"{float(f'{strongest:.3g}'):,g} N", **_LETTERS)
 
 
 def write_film(path, states: Sequence, draw: Callable[..., np.ndarray], fps: float) -> Path:
