@@ -15,6 +15,6 @@ for ax, opening in zip(axes, (3.0, 6.0, 10.0)):
     left = [int((y > foot).sum()) for y in run.trajectory.positions[::10, :, 1]]
     print(f"hole of {opening:g} radii: circles above it each second: {left}")
     run.trajectory.film(f"hopper_{opening:g}.html")
-    dc.plotting.draw_state(ax, run.state, contacts=False, bar=False)
+    dc.plotting.draw_state(ax, run.state, contacts=False)
     ax.set_title(f"hole of {opening:g} radii")
 dc.plotting.save(figure, "hopper.png")

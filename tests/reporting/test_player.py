@@ -314,12 +314,18 @@ def test_a_name_is_text(poured, name):
 # ---- in Chromium ----
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-PROBE = """
+LISTEN = """<head>
 <script>
 const errors = [];
 addEventListener("error", event => errors.push(String(event.message)));
 for (const kind of ["error", "warn"]) console[kind] = (...words) => errors.push(words.join(" "));
 addEventListener("securitypolicyviolation", event => errors.push("policy: " + event.blockedURI));
+</script>
+"""
+"""Before all else of the page: the policy refuses what it would ask a network for, and says so."""
+
+PROBE = """
+<script>
 const part = name => document.getElementById(name);
 const settled = () => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)));
 const sent = (at, event) => { at.dispatchEvent(event); return settled(); };
@@ -343,7 +349,8 @@ const pixels = () => part("scene").toDataURL();
 def in_chromium(states, tmp_path, test, **options):
     """What a script finds in the page, opened from disk; it must have no error and ask for nothing."""
     path = dc.film(states, tmp_path / "run.html", **options)
-    path.write_text(path.read_text() + PROBE.replace("TEST", test))
+    page = path.read_text(encoding="utf-8").replace("<head>", LISTEN, 1) + PROBE.replace("TEST", test)
+    path.write_text(page, encoding="utf-8")
     flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"]
     flags += ["--disable-background-networking", "--disable-component-update", "--window-size=800,700"]
     flags += [f"--user-data-dir={tmp_path / 'profile'}", "--enable-logging=stderr"]
@@ -452,4 +459,4 @@ def test_hostile_names_are_shown_as_text_in_chromium(poured, tmp_path, name):
           wide: document.documentElement.scrollWidth <= innerWidth};
         """,
     )
-    assert found == {"name": name, "images": 0, "scripts": 3, "wide": True}
+    assert found == {"name": name, "images": 0, "scripts": 4, "wide": True}
