@@ -129,14 +129,15 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add("--restitution", type=float, metavar="E", help="coefficient e, 0 to 1 (default: the state's, 0 in a scene)")
     add("--steps", type=int, default=600, metavar="N", help="time steps to run (default: %(default)s)")
     add("--sweeps", type=int, metavar="N", help="most sweeps of the solver in a step (default: the state's own)")
-    text = "steps between two states of an .h5, or of a film (default: %(default)s)"
+    text = "steps between two states of an .h5, of a page or of a film (default: %(default)s)"
     add("--every", type=int, default=10, metavar="N", help=text)
     add("--warm-start", metavar="NAME", help="none, builtin, scaled, support, far field, … (default: builtin)")
     add("--dt", type=float, metavar="S", help="time step, s (default: the state's, 0.01 s in a scene)")
     add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or that of --accuracy fast)")
     add("--tolerance", type=float, metavar="N·s", help="θ, the largest change of an impulse, that ends a step's sweeps")
     add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of both")
-    text = "the last state, .xml or .xml.gz; a picture of it, .png; the run, .h5; a film of it, .gif or .mp4"
+    text = "the last state, .xml or .xml.gz; a picture of it, .png, or of its forces, forces.png; the run, .h5; "
+    text += "a page that plays it, .html; a film of it, .gif or .mp4"
     add("--out", metavar="FILE", help=text)
 
 
@@ -172,13 +173,16 @@ def _simulate(args) -> int:
 
     out = Path(args.out or "")
     if args.out is not None:  # before the run, not after it
-        fits = out.name.endswith((".xml", ".xml.gz", ".png", ".h5", ".gif", ".mp4"))
-        expect(fits, f"--out: expected a file that ends in .xml, .xml.gz, .png, .h5, .gif, .mp4, got {args.out!r}")
+        endings = (".xml", ".xml.gz", ".png", ".h5", ".html", ".gif", ".mp4")
+        fits = out.name.endswith(endings)
+        expect(fits, f"--out: expected a file that ends in {', '.join(endings)}, got {args.out!r}")
         expect(out.parent.is_dir(), f"--out: expected a folder that exists, got {str(out.parent)!r}")
         check_writable(out)
     scene = _scene(args)
-    record = args.every if out.suffix in (".h5", ".gif", ".mp4") else None
-    run = dc.simulate(scene, steps=args.steps, dt=args.dt, record=record, **_method(args, scene))
+    of_forces = out.name.endswith("forces.png")
+    record = args.every if out.suffix in (".h5", ".html", ".gif", ".mp4") else max(args.steps, 1) if of_forces else None
+    how = _method(args, scene)
+    run = dc.simulate(scene, steps=args.steps, dt=args.dt, record=record, forces=of_forces, **how)
     state = run.state
     run_of = f"{counted(state.bodies.count, 'circle')}, {counted(args.steps, 'step')} of {state.dt:g} s"
     print(f"{state.name}: {run_of}, {describe(state.solver)}")
@@ -190,14 +194,19 @@ def _simulate(args) -> int:
     if args.out is not None:
         if out.suffix == ".png":
             figure, ax = dc.plotting.subplots()
-            dc.plotting.draw_state(ax, state)
+            if of_forces:  # the mean of the last step
+                dc.plotting.draw_contact_forces(ax, run.solved[-1] if run.solved else state)
+            else:
+                dc.plotting.draw_state(ax, state)
             dc.plotting.save(figure, out)
         elif record is None:
             dc.write_state(out, state)
         elif out.suffix == ".h5":
             run.trajectory.save(out)
+        elif out.suffix == ".html":
+            run.trajectory.film(out)
         else:  # at the pace of the scene where the eye can follow
-            run.trajectory.film(out, fps=min(50.0, 1.0 / (args.every * state.dt)))
+            run.trajectory.film(out, fps=min(120.0, 1.0 / (args.every * state.dt)))
         print(out)
     return 0
 

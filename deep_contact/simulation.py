@@ -220,6 +220,22 @@ class Simulator:
             else:
                 done += self._advance(self._rows(make_log(count), 0, count))
 
+    def show(self, steps: int = 0, *, every: int = 10) -> None:
+        """Draw the state in a notebook, do so many steps, and draw it anew in its place after each `every` of them.
+
+        Raises ValueError outside of a notebook, and FloatingPointError as `step` does.
+        """
+        done, steps, every = 0, integer("steps", steps), integer("every", every, least=1)
+        notebook.show(self)
+        while done < steps:
+            count = min(every, steps - done)
+            self.step(count)
+            done += count
+            notebook.show(self)
+
+    def _repr_html_(self) -> str:
+        return self.state._repr_html_()
+
     @property
     def positions(self) -> np.ndarray:
         return self._views[0]

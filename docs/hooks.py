@@ -27,6 +27,7 @@ import tables  # noqa: E402
 
 GALLERY = ROOT / "docs" / "gallery"
 PICTURES = (".png", ".gif")
+PLAYS = ".html"
 TIMEOUT_S = 3600
 PATHS = {"PYTHONPATH": str(ROOT), "TF_CPP_MIN_LOG_LEVEL": "3"}
 PLACES = {}
@@ -65,7 +66,7 @@ def on_files(files, config):
     with ThreadPoolExecutor(2) as pool:
         pages += pool.map(_example, others)
     for name, (page, pictures) in zip([first, *others], pages):
-        _pictures[name] = pictures
+        _pictures[name] = [path for path in pictures if path.suffix in PICTURES]
         files.append(File.generated(config, f"gallery/{name}.md", content=page))
         for path in pictures:
             files.append(File.generated(config, f"gallery/{name}/{path.name}", abs_src_path=str(path)))
@@ -133,7 +134,7 @@ def _table_of(names: list[str]) -> str:
 
 
 def _example(name: str) -> tuple[str, list[Path]]:
-    """Run an example in an empty folder. Returns its page, and the pictures that it wrote."""
+    """Run an example in an empty folder. Returns its page, and the pictures and the pages of runs that it wrote."""
     path, folder = GALLERY / f"{name}.py", Path(_work.name) / name
     folder.mkdir()
     environment = os.environ | PATHS | {"CUDA_VISIBLE_DEVICES": ""}
@@ -148,8 +149,12 @@ def _example(name: str) -> tuple[str, list[Path]]:
     _, docstring, code = path.read_text(encoding="utf-8").split('"""', 2)
     title, _, text = docstring.partition("\n")
     pictures = sorted(found for found in folder.iterdir() if found.suffix in PICTURES)
+    pages = sorted(found for found in folder.iterdir() if found.suffix == PLAYS)
     shown = "\n".join(f"![{found.stem}]({name}/{found.name})" for found in pictures)
+    style = "width:100%;height:640px;border:1px solid #c8c8c8"
+    for found in pages:
+        shown += f'\n\n<iframe src="{name}/{found.name}" title="{found.stem}, which plays" style="{style}"></iframe>'
     printed = f"It prints\n\n```text\n{run.stdout.rstrip()}\n```\n" if run.stdout else ""
     _titles[name] = title.rstrip(".")
     page = f"# {title.rstrip('.')}\n{text}\n```python\n{code.strip()}\n```\n\n{shown}\n\n{printed}"
-    return f"{page}\nThe file is `docs/gallery/{name}.py`.\n", pictures
+    return f"{page}\nThe file is `docs/gallery/{name}.py`.\n", pictures + pages

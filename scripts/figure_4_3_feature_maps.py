@@ -119,8 +119,10 @@ def draw(data, options):
         # Impacts are much larger than all else: the colours end at the 95th percentile.
         size = np.percentile(np.abs(values)[np.nonzero(values)], 95) if np.any(values) else 1.0
         shown = ax.imshow(values, vmin=-size if values.min() < 0 else 0.0, vmax=size, **look)
-        figure.colorbar(shown, ax=ax, shrink=0.8)
-        ax.set_title(f"{part['layer']}\n{part['map']}, {len(values)} × {values.shape[1]} nodes")
+        figure.colorbar(shown, ax=ax, shrink=0.8, label="mass (kg)" if part["layer"] == "input" else "activation")
+        block, _, layer = part["layer"].rpartition(" ")
+        name = f"{block}, layer {layer}" if block else layer
+        ax.set_title(f"{name}\n{part['map']}\n{len(values)} × {values.shape[1]} nodes")
         ax.axis("off")
     for ax in panels[len(data["panels"]) :]:
         ax.remove()

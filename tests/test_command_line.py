@@ -259,6 +259,21 @@ def test_a_run_is_filmed_at_the_pace_of_the_scene(tmp_path, monkeypatch):
     assert main(["simulate", "--bodies", "3", "--steps", "8", "--every", "4", "--out", "run.gif"]) == 0
     with Image.open("run.gif") as film:
         assert (film.n_frames, film.info["duration"]) == (3, 40)
+    assert main(["simulate", "--bodies", "3", "--steps", "9", "--every", "1", "--out", "fast.gif"]) == 0
+    with Image.open("fast.gif") as film:  # 10 states of 1/100 s, of which players show every second
+        assert (film.n_frames, film.info["duration"]) == (5, 20)
+
+
+def test_a_run_is_a_page_and_its_last_step_a_picture_of_forces(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    drawn = []
+    monkeypatch.setattr(dc.plotting, "draw_contact_forces", lambda ax, state: drawn.append(state))
+    arguments = ["simulate", "--bodies", "5", "--size", "12", "--seed", "3", "--steps", "9", "--every", "4", "--out"]
+    assert main([*arguments, "run.html"]) == 0
+    assert '"times":[0.0,0.04,0.08,0.09]' in Path("run.html").read_text()
+    assert main([*arguments, "pile_forces.png"]) == 0
+    (state,) = drawn
+    assert (state.step, state.solved) == (8, True)
 
 
 def test_an_accuracy_picks_the_solver(capsys):

@@ -491,7 +491,7 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
         limits = 0.0, end(plotting.body_values(state, colour_by)[0] for state in states)
         impulse = end(state.contacts.normal_impulse for state in states)
         for ax, state in zip(panels[0], states):
-            look = {"limits": limits, "largest_impulse": impulse or None}
+            look = {"limits": limits, "largest_impulse": impulse or None, "bar": False}
             circles = plotting.draw_state(ax, state, colour_by=colour_by, **look)
             ax.set_title(f"t = {state.time:.2f} s\n{state.contacts.count} contacts", loc="left")
             ax.label_outer()

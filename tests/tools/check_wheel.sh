@@ -98,6 +98,7 @@ deep-contact predict --no-pictures "$(deep-contact sample rest_362)"
 deep-contact generate-data --quick --jobs 1
 deep-contact train --from "far field" --data data/generated/quick --epochs 1 --states-per-epoch 32 --out trained
 deep-contact simulate --bodies 10 --steps 8 --every 4 --out film.gif
+deep-contact simulate --bodies 10 --steps 8 --every 4 --out run.html
 deep-contact figure 5.3 --quick > figure.txt
 deep-contact table 5.1 --quick > table.txt
 programs=("$source"/docs/gallery/predict_impulses.py)
@@ -105,7 +106,7 @@ programs=("$source"/docs/gallery/predict_impulses.py)
 for program in "${programs[@]}"; do
     mkdir "${program##*/}" && (cd "${program##*/}" && python "$program" > printed.txt)
 done
-for file in later.xml run.h5 predictions/rest_362.csv film.gif trained/model.h5 figures/figure_5_3.png figures/table_5_1.json; do
+for file in later.xml run.h5 predictions/rest_362.csv film.gif run.html trained/model.h5 figures/figure_5_3.png figures/table_5_1.json; do
     [ -s "$file" ] || { echo "$file: expected a file, got none"; exit 1; }
 done
 
