@@ -716,6 +716,7 @@ GIVEN: dict[str, list[str]] = {
         *("about 1 ms of its own", "a scene took 10 ms", "a task of 10 s"),
     ],
     "other_starts.md": ["Δt = 0.01 s", "1.75 | 1.45", "ω = 1.75 for the normal and 1.45 for", "d = h = 0.5 m"],
+    "recipes.md": ["speeds from 0.1 to 10"],
     "solvers.md": ["9.81 m/s² and Δt = 0.01 s", "√1000 times", "more than 100 times"],
     "starts.md": [
         *("off by more than 5 %", "radii from 0.8 m", "2 to 5 times as fast", "10 to 60 times as fast"),

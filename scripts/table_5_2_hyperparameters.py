@@ -93,8 +93,10 @@ def claims(data):
 def table(data):
     shown = f"{chapter_5.THESIS_VISITS:,}"
     columns = [data["printed"] | {"States shown": shown}, data["authors' code"] | {"States shown": shown}]
-    columns += [data["run"], data["shipped"]]
-    head = ["hyperparameter", "thesis", "authors' code", f"recipe {data['recipe'] or 'unknown'}", "shipped file"]
+    head = ["hyperparameter", "thesis", "authors' code"]
+    if data["recipe"]:
+        columns, head = [*columns, data["run"]], [*head, f"recipe {data['recipe']}"]
+    columns, head = [*columns, data["shipped"]], [*head, "shipped file"]
     return [head, *([name, *(column.get(name) for column in columns)] for name in data["shipped"])]
 
 

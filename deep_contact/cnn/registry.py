@@ -51,7 +51,7 @@ def network_file(model=None) -> Path:
         raise FileNotFoundError(
             f"model {name}: expected {entry['file']} in {' or '.join(map(str, _folders()))}, which does not exist; the "
             f"source repository has it as models/{entry['file']}, {FOLDER} names another folder, and "
-            f"`{entry['command']}` trains such a network"
+            f"`{entry['command']}` trained it"
         )
     status = path.stat()
     if (digest := _sha256(path, status.st_mtime_ns, status.st_size)) != entry["sha256"]:
