@@ -372,6 +372,8 @@ class Simulator:
         self._never_change = tuple(map(frozen, bodies[4:]))
         if scene.world.segment_velocities:
             self._moved += (self._inputs.segments.line,)
+        if self._steps.sleep is not None:
+            self._moved += self._steps.sleep.remembered
         self._kept, self._log, self._work = tuple(map(np.copy, self._moved)), make_log(1), MOST_WORK // 8
         self._views = tuple(array.view() for array in bodies[:2])
         for view in self._views:
@@ -415,7 +417,6 @@ class Simulator:
         for kept, array in zip(self._kept, self._moved):
             kept[...] = array
         impulses = before.contacts.normal_impulse.copy(), before.contacts.tangent_impulse.copy()
-        still = self._steps.sleep and self._steps.sleep.still.copy()
         try:
             return self._advance_from(before, log, is_watched)
         except BaseException:
@@ -426,8 +427,6 @@ class Simulator:
                 contacts = before.contacts._replace(**dict(zip(names, impulses)))
                 # Elsewhere than where the steps that were lost have been.
                 self._now = before._replace(contacts=Contacts(*map(np.copy, contacts)))
-                if still is not None:
-                    self._steps.sleep.still[:] = still
             raise
 
     def _advance_from(self, before: _Now, log: StepLog, is_watched: bool) -> int:

@@ -130,10 +130,12 @@ def group_of(setting: Mapping) -> str:
 
 def reference_of(numbers: SceneNumbers, stiff: Stiffness | None, finer: int = 1) -> dict:
     """The setting that is taken for the limit of small steps of a scene, or one of steps `finer` times as small."""
-    parts = finer * presets.parts_for(numbers, TIME_STEP / 16)
-    solver = PGS(sweeps=20, tolerance=None, substeps=parts) if stiff is None else stiff.solver(parts)
-    if stiff is not None and solver.tolerance is None:  # substeps of a few sweeps: so many more of them
-        solver = replace(solver, sweeps=20, substeps=max(parts, 4 * finer * solver.substeps))
+    parts = presets.parts_for(numbers, TIME_STEP / 16)
+    if stiff is None:
+        return setting_of(PGS(sweeps=20, tolerance=None, substeps=finer * parts), numbers.dt)
+    solver = stiff.solver(finer * parts)
+    if solver.tolerance is None:  # substeps of a few sweeps: so many more of them
+        solver = replace(solver, sweeps=20, substeps=4 * solver.substeps)
     return setting_of(solver, numbers.dt)
 
 

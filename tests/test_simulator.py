@@ -274,12 +274,10 @@ def test_a_step_that_is_interrupted_or_diverges_leaves_the_last_whole_step(way, 
     assert run.state == before
     if steps.sleep:
         np.testing.assert_array_equal(steps.sleep.still, still)
-    if not steps.sleep:  # see below
-        run.step(15)
-        assert run.state == dc.simulate(scene, steps=60, **how).state
+    run.step(15)
+    assert run.state == dc.simulate(scene, steps=60, **how).state
 
 
-@pytest.mark.xfail(strict=True, reason="where and when the circles were last looked at is not put back (`sleep.place`)")
 def test_a_run_that_is_interrupted_falls_asleep_as_one_that_is_not(monkeypatch):
     scene, how = dc.column(3, friction=0.4), WAYS["asleep"][1]
     run = dc.Simulator(scene, **how)

@@ -435,7 +435,6 @@ def test_the_reference_of_a_heap_has_substeps_of_20_sweeps_in_place_of_8_and_fou
     assert module.reference_of(numbers, heap, 2)["substeps"] > setting["substeps"]
 
 
-@pytest.mark.xfail(strict=True, reason="of a heap it has a quarter: `finer` counts twice, in the parts and beside them")
 @pytest.mark.parametrize("heap", HEAPS, ids=lambda heap: heap.heap)
 def test_half_the_step_of_a_heaps_reference_is_half_of_it(heap):
     numbers = module.scene_numbers(dc.lattice_in_box(20))
