@@ -30,7 +30,7 @@ TASKS = {
 
 SYNONYMS = {
     "moving.md": "moving wall, piston, conveyor, belt, kinematic, paddle, roller, shear cell, moving boundary, motor",
-    "recipes.md": "callback, hook, video, movie, animation, csv, observer, checkpoint, stop condition",
+    "recipes.md": "callback, hook, video, movie, animation, player, csv, observer, checkpoint, stop condition",
     "forces.md": "force, energy, pressure, load cell, contact force, dissipation, momentum",
     "api/make_a_scene.md": "gravity, friction, density, mass, coefficient of restitution, radius, polydisperse",
     "absent.md": (
