@@ -36,6 +36,7 @@ def results():
         "Plan": lambda: dc.plan(RUN.state),
         "Observation": lambda: observe(RUN.trajectory),
         "LearnedModel": lambda: dc.load_model(),
+        "FarFieldModel": lambda: dc.load_model("far field"),
     }
 
 
@@ -80,13 +81,22 @@ def test_a_result_equals_what_is_made_anew_and_a_copy_and_nothing_else(name):
         assert (first != other) is True
 
 
-@pytest.mark.parametrize("name", [name for name in RESULTS if name not in ("World", "Recommendation", "Plan")])
+@pytest.mark.parametrize("name", sorted({*RESULTS} - {"World", "Recommendation", "Plan", "LearnedModel"}))
 def test_one_number_of_one_array_makes_a_result_another(name):
     others = list(altered(RESULTS[name]))
     assert len(others) >= (1 if name == "ConvergenceRecord" else 2)
     for other in others:
         assert (RESULTS[name] == other) is False
         assert RESULTS[name] not in [other]
+
+
+def test_one_weight_makes_a_network_of_keras_another():
+    first = RESULTS["LearnedModel"]
+    other = copy.deepcopy(first)
+    weights = other.network.get_weights()
+    weights[3].flat[-1] += 1.0
+    other.network.set_weights(weights)
+    assert other != first
 
 
 def test_nan_equals_nan_and_no_number():

@@ -43,7 +43,7 @@ def train():
 def start():
     dc.simulate(state, steps=1, warm_start="cnn")
 
-for needs in (train, dc.load_model, start):
+for needs in (bounds, train, dc.load_model, start):
     try:
         needs()
     except ModuleNotFoundError as error:

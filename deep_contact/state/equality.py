@@ -32,6 +32,8 @@ def same(one, other) -> bool:
         return _same_arrays(np.asarray(one), np.asarray(other)) if type(one) is type(other) else False
     if hasattr(one, "nnz") and hasattr(other, "nnz"):  # matrices of scipy.sparse
         return one.shape == other.shape and (one != other).nnz == 0
+    if hasattr(one, "get_weights") and hasattr(other, "get_weights"):  # models of Keras
+        return same(one.get_config(), other.get_config()) and same(one.get_weights(), other.get_weights())
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(same(value, other[key]) for key, value in one.items())
     if isinstance(one, (tuple, list)) and type(one) is type(other):
