@@ -33,7 +33,7 @@ def same(one, other) -> bool:
     if hasattr(one, "nnz") and hasattr(other, "nnz"):  # matrices of scipy.sparse
         return one.shape == other.shape and (one != other).nnz == 0
     if hasattr(one, "get_weights") and hasattr(other, "get_weights"):  # models of Keras
-        return same(one.get_config(), other.get_config()) and same(one.get_weights(), other.get_weights())
+        return one.to_json() == other.to_json() and same(one.get_weights(), other.get_weights())
     if isinstance(one, Mapping) and isinstance(other, Mapping):
         return one.keys() == other.keys() and all(same(value, other[key]) for key, value in one.items())
     if isinstance(one, (tuple, list)) and type(one) is type(other):

@@ -303,7 +303,7 @@ BAD = [
     ("ours", '<mass value="0.0"', '<mass values="1" value="0.0"', "<mass> of body '.': values: no such attribute"),
     ("ours", "<corner ", '<corner z="0" ', "<corner>: z: no such attribute, expected x, y, got '0'"),
     ("a", "<mass ", '<mass colour="red" ', "<mass> of body '.': colour: no such attribute"),
-    ("ours", ' sweeps="', ' sweep="', "<solver>.*unexpected keyword argument 'sweep'"),
+    ("ours", ' sweeps="', ' sweep="', "<solver>.*option of PGS: expected one of .*, got .*sweep.*; did you mean"),
     ("ours", ' sweeps="3000"', ' sweeps="-3"', "<solver>.*sweeps: .*-3"),
     ("ours", ' slop="0.005"', "", "<scales>.*slop: .*missing"),
     ("ours", 'type="free"', 'type="flying"', "<body> '0'.*type: .*'flying'"),
