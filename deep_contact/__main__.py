@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import signal
 import sys
+import threading
 import types
 from collections.abc import Sequence
+from decimal import Decimal
 from pathlib import Path
 
 from deep_contact.constants import VERSION
@@ -45,7 +48,7 @@ is not installed (Keras and TensorFlow in a small environment), 130 Ctrl-C; else
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; its exit status, see `STATUS`."""
-    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    arguments = [_without_exponent(word) for word in (sys.argv[1:] if arguments is None else arguments)]
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
     parser, commands = _parsers()
@@ -61,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # of `deep-contact figure | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more
         return 0
-    except (FloatingPointError, OSError, FileError, MemoryError) as error:
+    except (FloatingPointError, OSError, FileError, MemoryError, ModuleNotFoundError) as error:
         print(f"{parser.prog} {name}: {error}", file=sys.stderr)
         return status_of(error)
     except ValueError as error:
@@ -75,6 +78,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         print(f"{words}: {error}", file=sys.stderr)
         return NO_PACKAGE
+
+
+def _without_exponent(word: str) -> str:
+    """-1e1 as -10: argparse takes a negative number with an exponent for an option."""
+    is_number = re.fullmatch(r"-(\d+\.?\d*|\.\d+)[eE][-+]?\d{1,3}", word)
+    return format(Decimal(word), "f") if is_number else word
 
 
 def status_of(error: Exception) -> int:
@@ -120,14 +129,15 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
     add("--restitution", type=float, metavar="E", help="coefficient e, 0 to 1 (default: the state's, 0 in a scene)")
     add("--steps", type=int, default=600, metavar="N", help="time steps to run (default: %(default)s)")
     add("--sweeps", type=int, metavar="N", help="most sweeps of the solver in a step (default: the state's own)")
-    text = "steps between two states of an .h5, or of a film (default: %(default)s)"
+    text = "steps between two states of an .h5, of a page or of a film (default: %(default)s)"
     add("--every", type=int, default=10, metavar="N", help=text)
-    add("--warm-start", metavar="NAME", help="none, builtin, scaled, support, cnn, … (default: builtin)")
+    add("--warm-start", metavar="NAME", help="none, builtin, scaled, support, far field, … (default: builtin)")
     add("--dt", type=float, metavar="S", help="time step, s (default: the state's, 0.01 s in a scene)")
     add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or that of --accuracy fast)")
     add("--tolerance", type=float, metavar="N·s", help="θ, the largest change of an impulse, that ends a step's sweeps")
     add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of both")
-    text = "the last state, .xml or .xml.gz; a picture of it, .png; the run, .h5; a film of it, .gif or .mp4"
+    text = "the last state, .xml or .xml.gz; a picture of it, .png, or of its forces, forces.png; the run, .h5; "
+    text += "a page that plays it, .html; a film of it, .gif or .mp4"
     add("--out", metavar="FILE", help=text)
 
 
@@ -163,13 +173,16 @@ def _simulate(args) -> int:
 
     out = Path(args.out or "")
     if args.out is not None:  # before the run, not after it
-        fits = out.name.endswith((".xml", ".xml.gz", ".png", ".h5", ".gif", ".mp4"))
-        expect(fits, f"--out: expected a file that ends in .xml, .xml.gz, .png, .h5, .gif, .mp4, got {args.out!r}")
+        endings = (".xml", ".xml.gz", ".png", ".h5", ".html", ".gif", ".mp4")
+        fits = out.name.endswith(endings)
+        expect(fits, f"--out: expected a file that ends in {', '.join(endings)}, got {args.out!r}")
         expect(out.parent.is_dir(), f"--out: expected a folder that exists, got {str(out.parent)!r}")
         check_writable(out)
     scene = _scene(args)
-    record = args.every if out.suffix in (".h5", ".gif", ".mp4") else None
-    run = dc.simulate(scene, steps=args.steps, dt=args.dt, record=record, **_method(args, scene))
+    of_forces = out.name.endswith("forces.png")
+    record = args.every if out.suffix in (".h5", ".html", ".gif", ".mp4") else max(args.steps, 1) if of_forces else None
+    how = _method(args, scene)
+    run = dc.simulate(scene, steps=args.steps, dt=args.dt, record=record, forces=of_forces, **how)
     state = run.state
     run_of = f"{counted(state.bodies.count, 'circle')}, {counted(args.steps, 'step')} of {state.dt:g} s"
     print(f"{state.name}: {run_of}, {describe(state.solver)}")
@@ -181,14 +194,19 @@ def _simulate(args) -> int:
     if args.out is not None:
         if out.suffix == ".png":
             figure, ax = dc.plotting.subplots()
-            dc.plotting.draw_state(ax, state)
+            if of_forces:  # the mean of the last step
+                dc.plotting.draw_contact_forces(ax, run.solved[-1] if run.solved else state)
+            else:
+                dc.plotting.draw_state(ax, state)
             dc.plotting.save(figure, out)
         elif record is None:
             dc.write_state(out, state)
         elif out.suffix == ".h5":
             run.trajectory.save(out)
+        elif out.suffix == ".html":
+            run.trajectory.film(out)
         else:  # at the pace of the scene where the eye can follow
-            run.trajectory.film(out, fps=min(50.0, 1.0 / (args.every * state.dt)))
+            run.trajectory.film(out, fps=min(120.0, 1.0 / (args.every * state.dt)))
         print(out)
     return 0
 
@@ -228,7 +246,8 @@ def _trade(args) -> int:
         make = make if args.bodies is None else partial(make, args.bodies)
         scene = lambda seed: make(seed=seed)  # noqa: E731
     names = ("steps", "seeds", "minutes", "engines", "jobs")
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # what has been measured is kept, as after Ctrl-C
+    if threading.current_thread() is threading.main_thread():  # no other may ask for signals
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # what has been measured is kept, as after Ctrl-C
     trade = dc.measure_trade(scene, **{name: getattr(args, name) for name in names})
     print(trade)
     if args.out is not None:

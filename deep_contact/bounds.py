@@ -10,10 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import Executor
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from highspy import Highs, HighsModelStatus
 from scipy import sparse
 
 from deep_contact import parallel
@@ -22,7 +21,11 @@ from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import contact_problem
 from deep_contact.physics.ready import ready
 from deep_contact.state import State, StateWithContacts
+from deep_contact.state.equality import by_value
 from deep_contact.validation import expect, integer
+
+if TYPE_CHECKING:
+    from highspy import Highs
 
 EXACT = 1e-8
 """Largest residual of the impulses, m/s."""
@@ -40,6 +43,7 @@ OPTIONS: dict[str, bool | int | float | str] = {
 """Of HiGHS: primal simplex, in silence."""
 
 
+@by_value
 class ForceBounds(NamedTuple):
     """Bounds on the impulses of k contacts; a force is an impulse over Δt. Without a bound it is ±infinity.
 
@@ -72,6 +76,7 @@ def force_bounds(
     contacts: numbers of those that are wanted; None are all. jobs: processes, or an executor.
     Raises ValueError naming the argument, also where no exact motion was found.
     """
+    _highspy()  # before anything is computed
     state = ready(state)
     number_of_parts = parallel.workers(jobs) if isinstance(jobs, Executor) else integer("jobs", jobs, 1)
     m, mu, c = state.contacts.count, state.world.friction, state.contacts
@@ -122,9 +127,19 @@ class Program(NamedTuple):
     total: np.ndarray
 
 
+def _highspy():
+    """The package. Raises ModuleNotFoundError with the command that brings it."""
+    try:
+        import highspy
+    except ModuleNotFoundError as error:
+        needs = "expected the package, which force_bounds needs"
+        raise ModuleNotFoundError(f"highspy: {needs}, got none: pip install highspy") from error
+    return highspy
+
+
 def _highs(program: Program) -> Highs:
     """The program without a cost, solved. From its solution, or that for another cost, primal simplex goes on."""
-    highs, A = Highs(), program.matrix
+    highs, A = _highspy().Highs(), program.matrix
     for option, value in OPTIONS.items():
         highs.setOptionValue(option, value)
     highs.addVars(A.shape[1], np.zeros(A.shape[1]), np.full(A.shape[1], np.inf))
@@ -138,7 +153,7 @@ def _ends(part: tuple) -> np.ndarray:
     contacts, edges, program = part
     edges, ends = edges.tocsr(), np.zeros((len(contacts), 2, 2))
     is_zero, columns = np.zeros(edges.shape[0], bool), np.arange(edges.shape[1], dtype=np.int32)
-    highs = _highs(program)
+    highs, known = _highs(program), _highspy().HighsModelStatus
     for row_of, end, k in np.ndindex(2, 2, len(contacts)):  # one end of all contacts, then the next
         row, sign, place = 2 * contacts[k] + row_of, (1.0, -1.0)[end], (k, row_of, end)
         cost = sign * edges[[row]].toarray()[0]
@@ -147,10 +162,10 @@ def _ends(part: tuple) -> np.ndarray:
         highs.changeColsCost(columns.size, columns, cost)
         highs.run()
         status = highs.getModelStatus()
-        if status == HighsModelStatus.kOptimal:
+        if status == known.kOptimal:
             ends[place] = sign * highs.getInfo().objective_function_value
             is_zero[::2] |= (edges @ highs.getSolution().col_value)[::2] == 0.0  # no λ_n is below that: a program less
         else:
-            expect(status == HighsModelStatus.kUnbounded, f"state: expected programs that HiGHS solves, got {status}")
+            expect(status == known.kUnbounded, f"state: expected programs that HiGHS solves, got {status}")
             ends[place] = -sign * np.inf
     return ends

@@ -18,7 +18,7 @@ from deep_contact.presets import Accuracy
 from deep_contact.simulation import method_of
 from deep_contact.state import State, notebook
 from deep_contact.stiffness import SWEEPS, Stiffness, stiffness
-from deep_contact.validation import one_of
+from deep_contact.validation import one_of, suggesting
 from deep_contact.warm_start import Builtin, Cnn, NoStart, Start
 
 
@@ -64,6 +64,7 @@ class Plan:
         return notebook.shown(self._title(), self._rows(), header=("part", "", "why"))
 
 
+@suggesting
 def plan(
     scene: State, *, solver=None, warm_start: Start = "builtin", accuracy: Accuracy | None = None, sleep: bool = False
 ) -> Plan:

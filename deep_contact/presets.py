@@ -30,7 +30,7 @@ from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.scene_numbers import SceneNumbers, scene_numbers
 from deep_contact.state import State, notebook
 from deep_contact.stiffness import Stiffness, stiffness
-from deep_contact.validation import number, one_of
+from deep_contact.validation import number, one_of, suggesting
 
 TABLE = Path(__file__).parent / "reference" / "runs.json"
 """What the study installed, shipped with the package."""
@@ -148,6 +148,7 @@ class Recommendation:
         return notebook.shown(f"{name}: {setting}", rows)
 
 
+@suggesting
 def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: float | None = None) -> Recommendation:
     """The cheapest setting that keeps the tolerances of a preset, or the most accurate one that a budget allows.
 

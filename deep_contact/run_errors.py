@@ -18,6 +18,7 @@ from scipy import stats
 
 from deep_contact.presets import FASTEST
 from deep_contact.state import State
+from deep_contact.state.equality import by_value
 from deep_contact.validation import brief
 
 LOADS = np.linspace(0.0, 6.0, 121)
@@ -57,6 +58,7 @@ granular packing (Radjai et al., Phys. Rev. Lett. 77, 1996); penetration and res
 """
 
 
+@by_value
 class Observation(NamedTuple):
     """What is looked at of one run, at T equally spaced times.
 

@@ -51,8 +51,9 @@ from deep_contact.state.checks import (
     checked_velocities,
     warn_of_jumps,
 )
+from deep_contact.state.equality import by_value
 from deep_contact.trajectory import Trajectory
-from deep_contact.validation import brief, expect, flag, integer, one_of, warn
+from deep_contact.validation import brief, expect, flag, integer, list_of, one_of, suggesting, warn
 from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
 
 MOST_WORK = 20_000_000
@@ -61,6 +62,9 @@ MOST_WORK = 20_000_000
 SECONDS = 0.2
 """Time that such a call should take: between calls Ctrl-C is raised."""
 
+MOST_STEPS = 10**12
+"""Most steps of a run. Its result has 40 bytes a step, so that memory ends before."""
+
 KEPT = 20_000
 """Most circles of a run whose memory is kept for the next call of `simulate`."""
 
@@ -68,6 +72,7 @@ TASKS = 16
 """Tasks for each worker of `simulate_many(jobs=…)`. Where an executor replaces a lost worker, it repeats one task."""
 
 
+@by_value
 class Simulation(NamedTuple):
     """A finished run.
 
@@ -109,7 +114,7 @@ class Simulation(NamedTuple):
             raise ValueError("trajectory: expected a run of simulate(…, record=…), got one that recorded no states")
         return self.recorded
 
-    def force_on(self, part: str, index: int | Sequence[int] | None = None) -> np.ndarray:
+    def force_on(self, part: str, index: int | Sequence[int] | np.ndarray | None = None) -> np.ndarray:
         """The mean force of contacts between each recorded state and the next, (T − 1, 2), N.
 
         Force k is the mean from times[k] to times[k + 1] of the trajectory, over all steps and substeps, rebounds
@@ -166,6 +171,7 @@ class Simulation(NamedTuple):
         return summary | ({} if self.recorded is None else {"record": notebook.counted(len(self.recorded), "state")})
 
 
+@suggesting
 class Simulator:
     """A scene that lives: it does steps, keeps what the engine remembers of them, and can be changed between them.
 
@@ -179,6 +185,9 @@ class Simulator:
     | velocities | of the centres, likewise                                  | (n, 2) | m/s  |
     | time       |                                                           |        | s    |
     | state      | a `State` of its own arrays, made when it is asked for    |        |      |
+
+    Nobody can write into the views: `set`, `add` and `remove` change the scene. To put circles elsewhere, change
+    `state`, `dc.Simulator(live.state.replace(bodies=…, contacts=None))`.
 
     Raises ValueError on arguments that do not hold together.
     """
@@ -203,13 +212,29 @@ class Simulator:
 
     def step(self, steps: int = 1) -> None:
         """Do so many steps. Raises FloatingPointError where the solver diverges beyond all numbers."""
-        done, steps = 0, integer("steps", steps)
+        done, steps = 0, integer("steps", steps, hint="; seconds are steps of Δt, which set(dt=…) changes")
         while done < steps:
             count = min(steps - done, self._affordable())
             if count == 1:
                 done += self._advance(self._one_step())
             else:
                 done += self._advance(self._rows(make_log(count), 0, count))
+
+    def show(self, steps: int = 0, *, every: int = 10) -> None:
+        """Draw the state in a notebook, do so many steps, and draw it anew in its place after each `every` of them.
+
+        Raises ValueError outside of a notebook, and FloatingPointError as `step` does.
+        """
+        done, steps, every = 0, integer("steps", steps), integer("every", every, least=1)
+        notebook.show(self)
+        while done < steps:
+            count = min(every, steps - done)
+            self.step(count)
+            done += count
+            notebook.show(self)
+
+    def _repr_html_(self) -> str:
+        return self.state._repr_html_()
 
     @property
     def positions(self) -> np.ndarray:
@@ -227,6 +252,7 @@ class Simulator:
     def state(self) -> StateWithContacts:
         return self._state(np.ndarray.copy)
 
+    @suggesting
     def set(
         self, *, gravity=None, friction=None, restitution=None, dt=None, segments=None, segment_velocities=None,
         push=None,
@@ -289,7 +315,7 @@ class Simulator:
         self._change(self.state.with_bodies(add=bodies))
         return np.arange(first, self._scene.bodies.count)
 
-    def remove(self, which: Sequence) -> np.ndarray:
+    def remove(self, which: Sequence | np.ndarray) -> np.ndarray:
         """Take circles away, by their indices or by a flag for each (`State.with_bodies`). Who sleeps wakes.
 
         Returns the new index of each circle that there was, (n,); −1 for those that are gone.
@@ -346,6 +372,8 @@ class Simulator:
         self._never_change = tuple(map(frozen, bodies[4:]))
         if scene.world.segment_velocities:
             self._moved += (self._inputs.segments.line,)
+        if self._steps.sleep is not None:
+            self._moved += self._steps.sleep.remembered
         self._kept, self._log, self._work = tuple(map(np.copy, self._moved)), make_log(1), MOST_WORK // 8
         self._views = tuple(array.view() for array in bodies[:2])
         for view in self._views:
@@ -389,7 +417,6 @@ class Simulator:
         for kept, array in zip(self._kept, self._moved):
             kept[...] = array
         impulses = before.contacts.normal_impulse.copy(), before.contacts.tangent_impulse.copy()
-        still = self._steps.sleep and self._steps.sleep.still.copy()
         try:
             return self._advance_from(before, log, is_watched)
         except BaseException:
@@ -400,8 +427,6 @@ class Simulator:
                 contacts = before.contacts._replace(**dict(zip(names, impulses)))
                 # Elsewhere than where the steps that were lost have been.
                 self._now = before._replace(contacts=Contacts(*map(np.copy, contacts)))
-                if still is not None:
-                    self._steps.sleep.still[:] = still
             raise
 
     def _advance_from(self, before: _Now, log: StepLog, is_watched: bool) -> int:
@@ -515,6 +540,7 @@ def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, War
     return state.replace(solver=solver, preset=preset), start
 
 
+@suggesting
 def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndarray] = "builtin") -> ContactSolution:
     """Solve the contact problem of a state: gravity for Δt, then the impulses. The state stays as it is.
 
@@ -527,6 +553,7 @@ def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndar
     return engine.solve(state, solver, *starting_impulses(start, state, solver))
 
 
+@suggesting
 def step(state: State, *, solver=None, warm_start: Start = "builtin") -> StateWithContacts:
     """One step: the state Δt later, with its contacts found and the solved impulses carried over to them.
 
@@ -536,6 +563,7 @@ def step(state: State, *, solver=None, warm_start: Start = "builtin") -> StateWi
     return simulate(state, steps=1, solver=solver, warm_start=warm_start).state
 
 
+@suggesting
 def simulate(
     state: State,
     *,
@@ -613,7 +641,7 @@ class RunOptions(NamedTuple):
 def _simulate(state: State, options: RunOptions, stopped: threading.Event | None = None) -> Simulation:
     """`simulate`, which ends with a KeyboardInterrupt once the event `stopped` is set."""
     record, forces, until, on_step = options.record, options.forces, options.until, options.on_step
-    steps = integer("steps", options.steps)
+    steps = integer("steps", options.steps, most=MOST_STEPS, hint="; Δt is dt=…")
     if record is not None:
         integer("record", record, least=1)
     expect(not flag("forces", forces) or record is not None, "forces: expected False without record=…, got True")
@@ -703,6 +731,7 @@ def _same_bits(one: np.ndarray, other: np.ndarray) -> bool:
     return one.tobytes() == other.tobytes() if one.size < 4096 else np.array_equal(one, other)
 
 
+@suggesting
 def simulate_many(
     states: Iterable[State],
     *,
@@ -728,7 +757,7 @@ def simulate_many(
     expect(threads is None or jobs is None, f"threads: expected none beside jobs, got {threads!r}")
     threads = cores() if threads is None else integer("threads", threads, least=1)
     start = warm_start_of(warm_start)
-    fits, states = isinstance(start, (Builtin, NoStart)), list(states)
+    fits, states = isinstance(start, (Builtin, NoStart)), list_of("states", State, states)
     expect(fits, f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
     options = RunOptions(
         steps=steps, dt=dt, solver=solver, warm_start=start, accuracy=accuracy, sleep=sleep, record=record,

@@ -24,6 +24,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from timeit import timeit
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -52,9 +53,13 @@ from deep_contact.run_errors import (
 from deep_contact.scene_numbers import SceneNumbers, scene_numbers
 from deep_contact.simulation import simulate
 from deep_contact.state import State, notebook
+from deep_contact.state.equality import by_value
 from deep_contact.state.scales import mean
 from deep_contact.stiffness import Stiffness, stiffness
-from deep_contact.validation import brief, expect, integer, number, one_of
+from deep_contact.validation import brief, expect, integer, number, one_of, several, suggesting
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FRAMES = 120
 """Least observations of a run; a shorter one has as many as it has steps."""
@@ -125,10 +130,12 @@ def group_of(setting: Mapping) -> str:
 
 def reference_of(numbers: SceneNumbers, stiff: Stiffness | None, finer: int = 1) -> dict:
     """The setting that is taken for the limit of small steps of a scene, or one of steps `finer` times as small."""
-    parts = finer * presets.parts_for(numbers, TIME_STEP / 16)
-    solver = PGS(sweeps=20, tolerance=None, substeps=parts) if stiff is None else stiff.solver(parts)
-    if stiff is not None and solver.tolerance is None:  # substeps of a few sweeps: so many more of them
-        solver = replace(solver, sweeps=20, substeps=max(parts, 4 * finer * solver.substeps))
+    parts = presets.parts_for(numbers, TIME_STEP / 16)
+    if stiff is None:
+        return setting_of(PGS(sweeps=20, tolerance=None, substeps=finer * parts), numbers.dt)
+    solver = stiff.solver(finer * parts)
+    if solver.tolerance is None:  # substeps of a few sweeps: so many more of them
+        solver = replace(solver, sweeps=20, substeps=4 * solver.substeps)
     return setting_of(solver, numbers.dt)
 
 
@@ -252,7 +259,8 @@ def noise_of(half: Sequence, reference: Sequence, *, swaps: int = 20) -> dict[st
 # ---- what comes back ----
 
 
-@dataclass(kw_only=True, repr=False)
+@by_value
+@dataclass(kw_only=True, repr=False, eq=False)
 class Trade:
     """What settings cost on a scene, and what they get wrong; `print` shows a table, a notebook as well.
 
@@ -376,7 +384,7 @@ class Trade:
         header, *rows = self.table()
         return notebook.shown(self._title(), [*rows, *((note,) for note in self.notes)], header=header)
 
-    def plot(self, *names: str):
+    def plot(self, *names: str) -> Figure:
         """The figure of errors over the time of a step: settings, their front, other engines, tolerances.
 
         names: of errors, a panel each; by default the energy and the deepest penetration, and the user's quantities.
@@ -403,19 +411,41 @@ class Trade:
 def load_trade(path) -> Trade:
     """A `Trade` that was saved. Raises ValueError where the file is none."""
     try:
-        stored = json.loads(read_bytes(path, LARGEST_FILE))
+        stored = json.loads(read_bytes(path, LARGEST_FILE), parse_constant=_refused, parse_float=_finite)
         runs = stored["observed"]
         stored["observed"] = {(name, i): (seconds, observation(seen)) for name, i, seconds, seen in runs}
         trade = Trade(**stored)
         for name, kind in typing.get_type_hints(Trade).items():
             value = getattr(trade, name)
             expect(isinstance(value, (kind, int) if kind is float else kind), f"{name}: {brief(value)}")
-        for setting in (trade.reference, trade.half, *trade.settings.values()):
-            expect("engine" in setting or solver_of(setting), f"settings: {brief(setting)}")
+        _check_trade(trade)
         str(trade)  # which looks at all rows
         return trade
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise ValueError(f"{Path(path).name}: expected a file of Trade.save, got {brief(error)}") from None
+
+
+def _refused(text: str) -> float:
+    raise ValueError(f"expected finite numbers, got {text}")
+
+
+def _finite(text: str) -> float:
+    return number("a number", float(text))
+
+
+def _check_trade(trade: Trade) -> None:
+    """Raise ValueError on numbers and settings that no measurement gives. Errors of rows become tuples."""
+    number("dt", trade.dt, above=0)
+    for name, least in (("n_bodies", 1), ("steps", REST), ("seeds", 0)):
+        integer(name, getattr(trade, name), least=least)
+    settings = (trade.reference, trade.half, *trade.settings.values(), *(row["setting"] for row in trade.rows))
+    for setting in settings:
+        number("dt", setting["dt"], above=0)
+        integer("sweeps", setting["sweeps"], least=1)
+        expect("engine" in setting or solver_of(setting), f"settings: {brief(setting)}")
+    for row in trade.rows:
+        expect(row["us"] is None or number("us", row["us"], above=0), "us")
+        row["errors"] = {name: error and several(name, error, 3) for name, error in row["errors"].items()}
 
 
 def draw_plane(ax, rows: Sequence[Mapping], error: str, *, names: bool = True) -> None:
@@ -445,6 +475,7 @@ def draw_plane(ax, rows: Sequence[Mapping], error: str, *, names: bool = True) -
 # ---- the measurement ----
 
 
+@suggesting
 def measure_trade(
     scene: State | Callable[[int], State],
     *,

@@ -5,20 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deep_contact.state import notebook, read_only
-from deep_contact.validation import expect, integer, number
+from deep_contact.state import State, notebook, read_only
+from deep_contact.state.equality import by_value
+from deep_contact.validation import expect, floats, integer, list_of, number
 
 if TYPE_CHECKING:
     from deep_contact.io.simulation_h5 import StoredSimulation
-    from deep_contact.state import State, StateWithContacts, World
+    from deep_contact.state import StateWithContacts, World
 
-MOST_FRAMES = 40
-"""Of the film in a notebook, which keeps it."""
+MOST_SHOWN = 200_000
+"""Most circles, of all states together, of the page in a notebook, which keeps it: some 2 MB."""
 
 
 def _array(*names: str) -> property:
@@ -31,6 +31,7 @@ def _array(*names: str) -> property:
     return property(get)
 
 
+@by_value
 @dataclass(frozen=True, repr=False, eq=False)
 class Trajectory:
     """T states of one run of n circles, with M contacts in all. `len`, indexing and iteration give its states.
@@ -87,11 +88,14 @@ class Trajectory:
         return f"Trajectory({self.positions.shape[1]} circles, {len(self)} states, {t[0]:g} to {t[-1]:g} s, {contacts})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: a film of at most `MOST_FRAMES` states, at the run's own speed."""
-        seconds, every = max(float(self.times[-1] - self.times[0]), 1e-3), -(-len(self) // MOST_FRAMES)
-        with TemporaryDirectory() as folder:
-            film = self.film(Path(folder, "run.gif"), fps=max(len(self) / every / seconds, 1.0), size=400, every=every)
-            return notebook.image("gif", film.read_bytes())
+        """What a notebook shows: the page that plays the run, of at most `MOST_SHOWN` circles in all its states."""
+        from deep_contact.reporting.player import page
+
+        circles = self.positions.shape[1]
+        if circles > MOST_SHOWN // 2:
+            return notebook.shown(repr(self), [("too large to play here", "trajectory.film(….html) makes a page")])
+        every = -(-len(self) * circles // MOST_SHOWN)
+        return notebook.framed(page([self[i] for i in range(0, len(self), max(every, 1))]))
 
     times, positions, velocities = _array("time"), _array("position"), _array("velocity")
     angles, spins, offsets = _array("angle"), _array("spin"), _array("contact_offset")
@@ -130,36 +134,57 @@ class Trajectory:
         late = half * (self.velocities @ np.array(self.world.gravity)) @ self._free_mass
         return np.diff(self.work - self.energies.sum(axis=1) - late)
 
-    def film(self, path, *, fps: float = 25, size: int = 640, every: int = 1) -> Path:
-        """Write a film of the circles, coloured by speed, and of their impulses. Returns its path.
+    def table(self) -> dict[str, np.ndarray]:
+        """A row for each circle at each time, (T n,) a column: time, circle, and the columns of `Bodies.table`."""
+        count, n = self.positions.shape[:2]
+        of_circles = {name: np.tile(self.stored.arrays[name], count) for name in ("mass", "radius")}
+        return {
+            "time": np.repeat(self.times, n), "circle": np.tile(np.arange(n), count),
+            "x": self.positions[..., 0].ravel(), "y": self.positions[..., 1].ravel(),
+            "v_x": self.velocities[..., 0].ravel(), "v_y": self.velocities[..., 1].ravel(),
+            "angle": self.angles.ravel(), "spin": self.spins.ravel(), **of_circles,
+        }  # fmt: skip
 
-        path: of a .gif, or of an .mp4, for which ffmpeg is needed. size: of the longer side, pixels. every: one in so
-        many states is shown. Raises ValueError for another ending and where ffmpeg is missing, OSError where the file
+    def film(self, path, *, fps: float | None = None, size: int | None = None, every: int = 1, colour=None) -> Path:
+        """Write a page that plays the run, or a film of it. Returns its path.
+
+        path: of an .html, which any browser plays without a network; of a .gif; or of an .mp4, for which ffmpeg is
+        needed, or the package imageio-ffmpeg. every: one in so many states is shown. fps: states of a film a second,
+        by default 25. size: of the longer side of its box, pixels, by default 640. A page plays at the run's own speed
+        and fits its window, and takes neither. colour: a number for each circle in each state, (T, n), for a page,
+        which has speed, radius, material and index as well. Raises ValueError for another ending, for numbers that do
+        not fit, for a run that is too large for a page, and where ffmpeg is missing. Raises OSError where the file
         cannot be written.
         """
-        from deep_contact.reporting.film import Canvas, write_film
-
-        fastest = float(np.hypot(*self.velocities.reshape(-1, 2).T).max(initial=0.0))
-        strongest = float(self.impulses[:, 0].max(initial=0.0))
-        canvas = Canvas(self.world, size=integer("size", size, least=32), fastest=fastest, strongest=strongest)
         shown = range(0, len(self), integer("every", every, 1))
-        return write_film(path, (canvas(self[i]) for i in shown), number("fps", fps, above=0))
+        if colour is not None:
+            colour = floats("colour", colour, self.positions.shape[:2])[shown]
+        return film([self[i] for i in shown], path, fps=fps, size=size, colour=colour)
 
 
-def film(states: Iterable[State], path, *, fps: float = 25, size: int = 640) -> Path:
-    """Write a film of states, which may have any number of circles and segments anywhere, in the box of the first.
+def film(states: Iterable[State], path, *, fps: float | None = None, size: int | None = None, colour=None) -> Path:
+    """Write a page or a film of states, which may have any number of circles and segments anywhere.
 
-    Arguments, result and errors as of `Trajectory.film`. Raises ValueError without states.
+    Pages and films show the box of the first state. colour: numbers for the circles of each state, (n,) each. Other
+    arguments, result and errors as of `Trajectory.film`. Raises ValueError without states. Forces are impulses over
+    Δt: of `run.solved` the mean over each step, of other states that of the last substep (`dc.forces`).
     """
-    from deep_contact.reporting.film import Canvas, write_film
-
-    states = list(states)
+    states = list_of("states", State, states)
     expect(states, "states: expected at least one state, got none")
-    fastest = max(float(np.hypot(*state.bodies.velocity.T).max(initial=0.0)) for state in states)
+    if Path(path).suffix == ".html":
+        from deep_contact.reporting.player import write_page
+
+        for name, value in (("fps", fps), ("size", size)):
+            expect(value is None, f"{name}: expected none for a page, which has its own speed and size, got {value!r}")
+        return write_page(path, states, colour=colour)
+    from deep_contact.reporting.film import Canvas, write_film
+    from deep_contact.reporting.plotting import top_speed
+
+    expect(colour is None, "colour: expected none for a film, which shows speeds; an .html takes it")
     impulses = [0.0 if state.contacts is None else state.contacts.normal_impulse.max(initial=0.0) for state in states]
-    size = integer("size", size, least=32)
-    canvas = Canvas(states[0].world, size=size, fastest=fastest, strongest=float(max(impulses)))
-    return write_film(path, map(canvas, states), number("fps", fps, above=0))
+    size = integer("size", 640 if size is None else size, least=32)
+    canvas = Canvas(states[0].world, size=size, fastest=top_speed(states), strongest=float(max(impulses)))
+    return write_film(path, states, canvas, number("fps", 25 if fps is None else fps, 0.01))
 
 
 def load_trajectory(path) -> Trajectory:

@@ -6,12 +6,16 @@ All raise ValueError in the form "name: expected …, got …".
 from __future__ import annotations
 
 import difflib
+import functools
+import inspect
 import math
+import re
 import reprlib
 import sys
 import warnings
-from collections.abc import Collection
+from collections.abc import Callable, Collection, Iterable
 from numbers import Integral, Real
+from typing import TypeVar
 
 import numpy as np
 
@@ -45,11 +49,14 @@ def refuse_where(bad: np.ndarray, name: str, values: np.ndarray, expected: str) 
         raise ValueError(f"{name}{place or ''}: expected {expected}, got {values[tuple(place)]}")
 
 
-def integer(name: str, value, least: int = 0, most: int | None = None) -> int:
-    """`value` as an int from `least` to `most`, both included. A bool, and a float such as 2.0, is not an integer."""
+def integer(name: str, value, least: int = 0, most: int | None = None, *, hint: str = "") -> int:
+    """`value` as an int from `least` to `most`, both included. A bool, and a float such as 2.0, is not an integer.
+
+    hint: what to do, for the message.
+    """
     is_one = type(value) is int or (isinstance(value, Integral) and not isinstance(value, bool))
     if not is_one or value < least:
-        raise ValueError(f"{name}: expected an integer >= {least}, got {brief(value)}")
+        raise ValueError(f"{name}: expected an integer >= {least}, got {brief(value)}{hint}")
     if most is not None and value > most:
         raise ValueError(f"{name}: expected an integer <= {most}, got {brief(value)}")
     return int(value)
@@ -80,6 +87,16 @@ def several(name: str, values, count: int, *, check=number, expected: str = "fin
     return checked
 
 
+def list_of(name: str, kind: type, values) -> list:
+    """Several values of a kind as a list. Raises ValueError where it is one alone, or another is among them."""
+    expected = f"{name}: expected several {kind.__name__} objects, such as a list,"
+    expect(isinstance(values, Iterable) and not isinstance(values, (str, bytes)), f"{expected} got {brief(values)}")
+    listed = list(values)
+    for k, value in enumerate(listed):
+        expect(isinstance(value, kind), f"{name}[{k}]: expected a {kind.__name__}, got {brief(value)}")
+    return listed
+
+
 def real_numbers(value) -> np.ndarray | None:
     """`value` as a new float64 array; None where it is not real numbers alone.
 
@@ -105,6 +122,49 @@ def floats(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
         raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {got}")
     refuse_where(~np.isfinite(array), name, array, "a finite number")
     return array
+
+
+SYNONYMS = {
+    "cor": "restitution", "count": "n_bodies", "e": "restitution", "g": "gravity",
+    "iterations": "sweeps", "lines": "segments", "mu": "friction", "n": "n_bodies", "omega": "spin", "pos": "position",
+    "r": "radius", "rtol": "tolerance", "time_step": "dt", "timestep": "dt", "tol": "tolerance", "v": "velocity",
+    "walls": "segments", "workers": "jobs",
+}  # fmt: skip
+"""Name that people try for a keyword -> the keyword that there is."""
+
+F = TypeVar("F", bound=Callable)
+
+
+def suggesting(function: F) -> F:
+    """The function, or the class, whose TypeError on a wrong call says what was meant.
+
+    Of a keyword that there is not it names the nearest, of a value too many the first options, which have to be named.
+    """
+    if isinstance(function, type):
+        function.__init__ = suggesting(function.__init__)  # type: ignore[misc]
+        return function
+
+    @functools.wraps(function)
+    def called(*values, **keywords):
+        try:
+            return function(*values, **keywords)
+        except TypeError as error:
+            error.args = (_with_hint(str(error), function, keywords, error.__traceback__.tb_next is None),)
+            raise
+
+    return called
+
+
+def _with_hint(message: str, function: Callable, keywords: dict, is_ours: bool) -> str:
+    """The message of a TypeError, with what was meant. is_ours: it is of the call itself, and of none further down."""
+    known, wrong = inspect.signature(function).parameters, re.search(r"unexpected keyword argument '(\w+)'", message)
+    if is_ours and "positional argument" in message:
+        named = [f"{name}=…" for name, one in known.items() if one.kind is one.KEYWORD_ONLY][:3]
+        return f"{message}; name the options: {', '.join(named)}" if named else message
+    if wrong is None or wrong[1] not in keywords or "did you mean" in message:
+        return message
+    meant = [SYNONYMS[wrong[1]]] if SYNONYMS.get(wrong[1]) in known else difflib.get_close_matches(wrong[1], known, 1)
+    return message.partition(". Did you")[0] + "".join(f"; did you mean {name!r}?" for name in meant)
 
 
 def flag(name: str, value) -> bool:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, Union, get_args
 
 import numpy as np
 
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
 Classical = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad"]
-Name = Literal[Classical, "sph", "sph spline", "sph consistent", "cnn", "learned support"]
-Start = Name | WarmStart | Path | None
+Name = Literal[Classical, "sph", "sph spline", "sph consistent", "cnn", "far field", "far field, no past"]
+Start = Union[Name, WarmStart, "LearnedModel", Path, None]
 """What `warm_start=` takes: a name, a callable, a `LearnedModel` or the path of its file; None is "none"."""
 
 
@@ -198,8 +198,9 @@ class Sph:
 class Cnn(FromProblem):
     """What a network predicts (the thesis's CNN-Model, Algorithm 7), projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
 
-    model: a `LearnedModel`, the path or name of a model file, which is read again only if it changes, or None for the
-    one that is shipped.
+    model: a `LearnedModel`, or the path or name of a model file, which is read again only if it changes. None is the
+    thesis's network, rebuilt (the start "cnn"), for its box of 30 m × 30 m. "far field" is ours, which corrects
+    Builtin's impulses in any box.
     """
 
     model: LearnedModel | str | Path | None = None
@@ -214,13 +215,13 @@ class Cnn(FromProblem):
 
 
 @dataclass(frozen=True)
-class LearnedSupport(Cnn):
+class FarFieldNoPast(Cnn):
     """`Support`, corrected by a far-field network that was trained on such starts, for piles without a past.
 
     model: as of `Cnn`. Where contacts carry impulses of a step before, Builtin is better.
     """
 
-    model: LearnedModel | str | Path | None = "no_past"
+    model: LearnedModel | str | Path | None = "far field, no past"
 
     def __post_init__(self):
         from deep_contact.cnn.inference import FarFieldModel, ModelFileError
@@ -248,9 +249,13 @@ STARTS: dict[Name, Callable[[], WarmStart]] = {
     "sph spline": partial(Sph, transfer="spline"),
     "sph consistent": partial(Sph, transfer="consistent"),
     "cnn": Cnn,
-    "learned support": LearnedSupport,
+    "far field": partial(Cnn, "far field"),
+    "far field, no past": FarFieldNoPast,
 }
 """Name -> what makes the start with its default options."""
+
+RENAMED = {"learned support": "far field, no past"}
+"""Name of a start before -> its name now."""
 
 
 def solved_impulses(state: State, solver) -> tuple[np.ndarray, np.ndarray]:
@@ -276,12 +281,18 @@ def warm_start_of(start: Start) -> WarmStart:
 
     Raises ValueError on others.
     """
+    if isinstance(start, type):
+        raise ValueError(f"warm_start: expected an instance, such as {start.__name__}(), got the class")
+    if any(kind.__module__.partition(".")[0] == "keras" for kind in type(start).__mro__):
+        hint = "LearnedModel(source=…, spec=ImageSpec()) of deep_contact.cnn makes it a start"
+        raise ValueError(f"warm_start: expected a start, got a {type(start).__name__} of Keras; {hint}")
     if callable(start):
         return start
     if is_network(start):
         return Cnn(start)
     if start is None or isinstance(start, str):
         start = "none" if start is None else start
+        expect(start not in RENAMED, f"warm_start: {start!r} is called {RENAMED.get(start)!r} now")
         if start not in STARTS:
             from deep_contact.cnn.registry import registered
 

@@ -22,19 +22,26 @@ from deep_contact.io import lazy
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "docs"))
+import reference  # noqa: E402
 import tables  # noqa: E402
 
 GALLERY = ROOT / "docs" / "gallery"
 PICTURES = (".png", ".gif")
-TIMEOUT_S = 600
+PLAYS = ".html"
+TIMEOUT_S = 3600
 PATHS = {"PYTHONPATH": str(ROOT), "TF_CPP_MIN_LOG_LEVEL": "3"}
-NAMES = {}
-"""Page of the API -> public names that it describes, and where they are: those of a module, or a module."""
+PLACES = {}
+"""Public name -> where it is: of a module its own name."""
 for _public, (_module, _name) in lazy.homes(deep_contact.__file__).items():
     _found = getattr(deep_contact, _public)
-    _place = _found.__name__ if inspect.ismodule(_found) else f"{_module}.{_name}"
-    _page = _public if inspect.ismodule(_found) else _module.split(".")[-1]
-    NAMES.setdefault(_page, {})[_public] = _place
+    PLACES[_public] = _found.__name__ if inspect.ismodule(_found) else f"{_module}.{_name}"
+MODULES = [_public for _public, _place in PLACES.items() if inspect.ismodule(getattr(deep_contact, _public))]
+PAGES = {_public: f"api/{_public}.md" for _public in MODULES}
+"""Public name -> the page that describes it: of its task, or a module's own."""
+for _task, _names in reference.TASKS.items():
+    PAGES = {_name: f"api/{reference.page_of(_task)}.md" for _name in _names.split()} | PAGES
+if sorted(PAGES) != sorted(PLACES):
+    raise PluginError(f"docs/reference.py: expected each public name once, got {sorted(PAGES.keys() ^ PLACES.keys())}")
 THUMBNAIL = 280
 """Width of the pictures in the index of results, pixels."""
 _pictures, _titles = {}, {}
@@ -45,28 +52,32 @@ def on_config(config):
     """Add the examples, in the order of the gallery's index, and the public names to the navigation."""
     tabs = {name: pages for tab in config.nav for name, pages in tab.items()}
     tabs["Use"].append({"Gallery": ["gallery/index.md", *(f"gallery/{name}.md" for name in _order())]})
-    tabs["Reference"].insert(0, {"Public names": ["api/index.md", *(f"api/{name}.md" for name in NAMES)]})
+    tasks = [{task: f"api/{reference.page_of(task)}.md"} for task in reference.TASKS]
+    modules = [{f"dc.{name}": PAGES[name]} for name in sorted(MODULES)]
+    tabs["Reference"].insert(0, {"Public names": ["api/index.md", *tasks, {"Modules": modules}]})
+    config.theme.static_templates.discard("404.html")  # its links are right on a server alone, at the root
     return config
 
 
 def on_files(files, config):
-    """Run the examples, and add their pages, those of the API, the appendix, and the pictures of the results."""
+    """Run the examples, and add their pages, those of the API, and the pictures of the results."""
     first, *others = _order()
     pages = [_example(first)]  # alone: it compiles what all of them need
     with ThreadPoolExecutor(2) as pool:
         pages += pool.map(_example, others)
     for name, (page, pictures) in zip([first, *others], pages):
-        _pictures[name] = pictures
+        _pictures[name] = [path for path in pictures if path.suffix in PICTURES]
         files.append(File.generated(config, f"gallery/{name}.md", content=page))
         for path in pictures:
             files.append(File.generated(config, f"gallery/{name}/{path.name}", abs_src_path=str(path)))
-    for page, names in NAMES.items():
-        blocks = "".join(f"\n::: {place}\n{_parameters(public)}" for public, place in names.items())
-        files.append(File.generated(config, f"api/{page}.md", content=f"# {page}\n{blocks}"))
+    for task, names in reference.TASKS.items():
+        public = [name for name in names.split() if name not in MODULES]
+        blocks = "".join(f"\n::: {PLACES[name]}\n" for name in public)
+        content = f"# {task}\n\n{_table_of(names.split())}{blocks}"
+        files.append(File.generated(config, f"api/{reference.page_of(task)}.md", content=content))
+    for name in MODULES:
+        files.append(File.generated(config, PAGES[name], content=f"# dc.{name}\n\n::: {PLACES[name]}\n"))
     files.append(File.generated(config, "api/index.md", content=_public_names()))
-    made = [sys.executable, ROOT / "docs" / "tables.py", "--appendix"]
-    appendix = subprocess.run(made, capture_output=True, text=True, check=True, env=os.environ | PATHS).stdout
-    files.append(File.generated(config, "appendix.md", content=appendix))
     for path in (ROOT / "data" / "reference").glob("*.png"):
         files.append(File.generated(config, f"reference/{path.name}", abs_src_path=str(path)))
         small = Path(_work.name) / path.name
@@ -79,9 +90,10 @@ def on_files(files, config):
 
 def on_page_markdown(markdown, page, config, files):
     """Turn links that are right in the repository into links of the site; add the gallery's pictures, and what is old."""
+    if page.file.src_uri in reference.SYNONYMS:
+        page.meta["tags"] = reference.SYNONYMS[page.file.src_uri].split(", ")
     if page.file.src_uri in [path.name for path in tables.PAGES]:
-        title, _, text = markdown.partition("\n")
-        markdown = f"{title}\n\n{tables.old_on(page.file.src_uri, markdown)}{text}"
+        markdown = f"{markdown}\n{tables.old_on(page.file.src_uri, markdown)}"
     if page.file.src_uri == "gallery/index.md":
         shown = [(_titles[name], found[0].name, name) for name, found in _pictures.items() if found]
         cells = (f"[![]({name}/{file}){{ width=300 }}<br>{title}]({name}.md)" for title, file, name in shown)
@@ -91,6 +103,7 @@ def on_page_markdown(markdown, page, config, files):
         small = rf"[![\1](thumbnails/\2){{ width={THUMBNAIL} }}<br>\1](reference/\2)"
         markdown = re.sub(r"\[(T?[ .\d]+)\]\(\.\./data/reference/(\w+\.png)\)", small, markdown)
     markdown = re.sub(r"\(((?:gallery/)?\w+)\.py\)", r"(\1.md)", markdown)
+    markdown = markdown.replace("](../deep_contact/__init__.py)", "](api/index.md)")
     return markdown.replace("](../data/reference/", "](reference/")
 
 
@@ -105,47 +118,43 @@ def _order() -> list[str]:
 
 def _public_names() -> str:
     """The page that lists what `import deep_contact` offers, with links to where it is described."""
+    parts = [f"\n## {task}\n\n{_table_of(names.split())}" for task, names in reference.TASKS.items()]
+    return f"# Public names\n\nAfter `import deep_contact as dc`, by task:\n{''.join(parts)}"
+
+
+def _table_of(names: list[str]) -> str:
+    """A table of public names, with links to where they are described, and what they are."""
     rows = []
-    for page, names in NAMES.items():
-        for public, place in names.items():
-            found = getattr(deep_contact, public)
-            described = found if inspect.ismodule(found) or hasattr(found, "__qualname__") else type(found)
-            first = inspect.getdoc(described).partition("\n")[0].replace("*", r"\*")
-            rows.append(f"| [`dc.{public}`]({page}.md#{place}) | {first} |\n")
-    return f"# Public names\n\nAfter `import deep_contact as dc`:\n\n| Name | |\n| --- | --- |\n{''.join(rows)}"
-
-
-def _parameters(public: str) -> str:
-    """A table of the parameters of a public function, or of the fields of a class; empty for modules and constants."""
-    found = getattr(deep_contact, public)
-    if not (inspect.isfunction(found) or inspect.isclass(found)):
-        return ""
-    rows, text = [], inspect.getdoc(found) or ""
-    for given in inspect.signature(found).parameters.values():
-        about = re.search(rf"(?:^|\s){re.escape(given.name)}: (.*?)(?=\.\s+(?:[a-z_]\w*, )*[a-z_]\w*: |\n\n|$)", text, re.S)
-        about = " ".join(about[1].split()).replace("|", "\\|") if about else ""
-        name = given.replace(annotation=given.empty, default=given.empty)  # with its stars
-        kind = getattr(given.annotation, "__forward_arg__", given.annotation)  # as written: a string
-        kind = "" if kind is given.empty else f"`{kind}`"
-        default = "" if given.default is given.empty else f"`{given.default!r}`"
-        rows.append(f"| `{name}` | {about} | {kind} | {default} |\n")
-    return f"\n| Parameter | Meaning | Type | Default |\n| --- | --- | --- | --- |\n{''.join(rows)}" if rows else ""
+    for name in names:
+        found = getattr(deep_contact, name)
+        described = found if inspect.ismodule(found) or hasattr(found, "__qualname__") else type(found)
+        first = inspect.getdoc(described).partition("\n\n")[0].replace("\n", " ").replace("*", r"\*")
+        rows.append(f"| [`dc.{name}`]({Path(PAGES[name]).name}#{PLACES[name]}) | {first} |\n")
+    return f"| Name | |\n| --- | --- |\n{''.join(rows)}"
 
 
 def _example(name: str) -> tuple[str, list[Path]]:
-    """Run an example in an empty folder. Returns its page, and the pictures that it wrote."""
+    """Run an example in an empty folder. Returns its page, and the pictures and the pages of runs that it wrote."""
     path, folder = GALLERY / f"{name}.py", Path(_work.name) / name
     folder.mkdir()
     environment = os.environ | PATHS | {"CUDA_VISIBLE_DEVICES": ""}
     options = {"capture_output": True, "text": True, "timeout": TIMEOUT_S, "check": False}
-    run = subprocess.run([sys.executable, path], cwd=folder, env=environment, **options)
+    try:
+        run = subprocess.run([sys.executable, path], cwd=folder, env=environment, **options)
+    except subprocess.TimeoutExpired:
+        hint = "`deep-contact warm-up` compiles ahead, on all cores"
+        raise PluginError(f"docs/gallery/{name}.py: expected an end within {TIMEOUT_S} s, got none; {hint}") from None
     if run.returncode:
         raise PluginError(f"docs/gallery/{name}.py failed:\n{run.stderr}")
     _, docstring, code = path.read_text(encoding="utf-8").split('"""', 2)
     title, _, text = docstring.partition("\n")
     pictures = sorted(found for found in folder.iterdir() if found.suffix in PICTURES)
+    pages = sorted(found for found in folder.iterdir() if found.suffix == PLAYS)
     shown = "\n".join(f"![{found.stem}]({name}/{found.name})" for found in pictures)
+    style = "width:100%;height:640px;border:1px solid #c8c8c8"
+    for found in pages:
+        shown += f'\n\n<iframe src="{name}/{found.name}" title="{found.stem}, which plays" style="{style}"></iframe>'
     printed = f"It prints\n\n```text\n{run.stdout.rstrip()}\n```\n" if run.stdout else ""
     _titles[name] = title.rstrip(".")
     page = f"# {title.rstrip('.')}\n{text}\n```python\n{code.strip()}\n```\n\n{shown}\n\n{printed}"
-    return f"{page}\nThe file is `docs/gallery/{name}.py`.\n", pictures
+    return f"{page}\nThe file is `docs/gallery/{name}.py`.\n", pictures + pages

@@ -27,6 +27,7 @@ from deep_contact.studies.chapter_5 import (
     NETWORKS,
     READ_NETWORK,
     THESIS_VISITS,
+    card_of,
     networks_info,
 )
 from deep_contact.studies.starts import READ
@@ -321,8 +322,8 @@ def worth() -> np.ndarray:
 
 
 def price(n_bodies: int) -> float:
-    """Sweeps of PGS in the time of the network `model.h5`, its images included (Figure 5.10), median over states."""
-    found = stored("figure_5_10")["data"]["piles"][str(n_bodies)]["starts"]["cnn"]
+    """Sweeps of PGS in the time of the far-field network, its images included (Figure 5.10), median over states."""
+    found = stored("figure_5_10")["data"]["piles"][str(n_bodies)]["starts"]["far field"]
     seconds = {stage: np.array(values) for stage, values in found["seconds"].items()}
     a_sweep = seconds.pop("solve") / np.array(found["sweeps"])
     return float(np.median(sum(seconds.values()) / a_sweep))
@@ -335,10 +336,19 @@ def width(friction: float = 0.5, circles: int = 100, *, scene: str = "resting", 
 
 
 def elsewhere() -> list[float]:
-    """Figure 6.15: of PGS from zero and from `support`, the distance from the run's impulses; of model.h5, that and its
-    velocity error."""
+    """Figure 6.15: of PGS from zero and from `support`, the distance from the run's impulses; of the far-field network, that and
+    its velocity error."""
     errors = claim("figure_6_15", "that know no past")
-    return [errors["PGS from zero"][0], errors["PGS from support"][0], *errors["model.h5"]]
+    return [errors["PGS from zero"][0], errors["PGS from support"][0], *errors["network, far field"]]
+
+
+def digits() -> list[float]:
+    """Figure 6.17: sweeps at which one digit is ahead of Builtin, the factor of θ by a digit, and median sweeps of three starts."""
+    found = stored("figure_6_17")["data"]["independent"]
+    first = [found[name]["theta"][0] for name in found if "digit" in name]
+    medians = (found[name]["sweeps"]["median"] for name in ("Copy, 1 digit", "builtin", "Copy, 2 digits"))
+    factors = spread(one / more for one, more in zip(first, first[1:]))
+    return [*sweeps("figure_6_17", "rounded to 1 significant"), *factors, *medians]
 
 
 # ---- the thesis ----
@@ -377,22 +387,26 @@ def by_tree() -> dict:
 
 
 def ahead(stem: str, first: str, second: str, share: float = 1.0) -> str:
-    """The sweeps at which the first start's θ is below this share of the second's, by intervals of 95 %; "" for none."""
+    """The sweeps at which the first start's θ is below this share of the second's, by their band; "" for none."""
     data = stored(stem)["data"]
     return ranges(data["sweep"], intervals(data["independent"], first, second)[2] < share)
 
 
+CNN, FAR_FIELD = "CNN (model.h5)", "far field (far_field.h5)"
+"""The two networks in the claims of Figures 5.9 and 5.10."""
+
+
 def not_efficient(network: str, circles: int = 100) -> list[list[float]]:
     """Figure 5.10: a network's start over Builtin, sweeps and then time to θ < 6e-5: [ratio, low, high] of each."""
-    named = f"{circles} circles, CNN ({network}): it"
+    named = f"{circles} circles, {network}: it"
     return [claim("figure_5_10", f"{named} {text}")[RATIO] for text in ("reaches θ", "is not efficient")]
 
 
 def reached() -> list[int]:
-    """Figure 5.10: of piles of 1,000 circles, the states that reach θ < 6e-5: from Copy, of all, from Builtin, from model.h5."""
+    """Figure 5.10: of piles of 1,000 circles, the states that reach θ < 6e-5: from Copy, of all, from Builtin, from far field."""
     pile = stored("figure_5_10")["data"]["piles"]["1000"]
     count = len(pile["scene"])
-    copy, builtin, network = (count - pile["starts"][name]["missed"] for name in ("copy", "builtin", "cnn"))
+    copy, builtin, network = (count - pile["starts"][name]["missed"] for name in ("copy", "builtin", "far field"))
     return [copy, count, builtin, network]
 
 
@@ -409,9 +423,9 @@ def first_rates() -> list[float]:
 
 
 def weights_of_thesis() -> list[int]:
-    """Weights that the thesis's network learns, and those of the file whose last layer is factored."""
+    """Weights that the thesis's network learns, and all of the file's, whose last layer is factored."""
     learned = sum(layer["trainable"] for layer in stored("table_5_1")["data"]["built"])
-    return [learned, networks_info(NETWORKS)["cnn thesis"]["parameters"]]
+    return [learned, card_of(NETWORKS["cnn"])["parameters"]]
 
 
 PEAK = 11.3e12
@@ -426,9 +440,16 @@ def training_work() -> tuple[float, float]:
     return work / 1e15, 100 * work / PEAK / 86400
 
 
+def errors_of_images() -> list[float]:
+    """Figure 4.3: errors of the network's grid values and of its λ, read back both ways; of Builtin's; of the true image's λ."""
+    grid, contacts = ({row[0]: row[i] for row in printed("figure_4_3")[1:]} for i in (1, 2))
+    network, shared, builtin, true, *_ = contacts
+    return [grid[network], contacts[network], contacts[shared], grid[builtin], contacts[builtin], contacts[true]]
+
+
 def training_share() -> float:
     """States that the thesis's training showed, over those that the training of its network here did."""
-    return THESIS_VISITS / networks_info(NETWORKS)["cnn thesis"]["visits"]
+    return THESIS_VISITS / networks_info(NETWORKS)["cnn"]["visits"]
 
 
 AFTER = (3, 10, 30)
@@ -550,9 +571,9 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ("Of the other cases, this package alone keeps {}, and another engine alone {}", lambda: walls_alone()[::2]),
         (
             "takes {:.2f} times as many sweeps as a start from the impulses of the step before, with an interval of {:.2f} to {:.2f}",
-            lambda: not_efficient("model.h5")[0],
+            lambda: not_efficient(FAR_FIELD)[0],
         ),
-        ("It takes {:.2f} times as long, with an interval of {:.2f} to {:.2f}", lambda: not_efficient("model.h5")[1]),
+        ("It takes {:.2f} times as long, with an interval of {:.2f} to {:.2f}", lambda: not_efficient(FAR_FIELD)[1]),
         (
             "{:.1f} to {:.1f} times as long, and those of the others {:.1f} to {:.1f} times",
             busy_over_idle,
@@ -605,6 +626,12 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             lambda: [price(1000), price(100)],
         ),
         ("This network saves {:.1f}, {:.1f} and {:.1f} sweeps where", lambda: worth() - AFTER),
+        (
+            "rounded to one digit is ahead of Builtin at sweeps {} to {:,}, and each digit more divides the first θ by {:.0f} to "
+            "{:.0f}. In the median state one digit is not enough: to θ < 6e-5 N·s it takes {:.0f} sweeps, "
+            "Builtin {:.0f}, and two digits {:.0f}",
+            digits,
+        ),
     ],
     "thesis.md": [
         (
@@ -615,17 +642,17 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
         (
             "converges faster than Builtin at sweeps {} to {} (Figure 5.9)",
-            lambda: sweeps("figure_5_9", "CNN (model.h5) converges faster than Builtin"),
+            lambda: sweeps("figure_5_9", f"{FAR_FIELD} converges faster than Builtin"),
         ),
         (
             "it takes {:.2f} times Builtin's sweeps, with an interval of {:.2f} to {:.2f}",
-            lambda: not_efficient("model.h5")[0],
+            lambda: not_efficient(FAR_FIELD)[0],
         ),
         ("reach this θ within 20,000 sweeps: {} of {} from Copy, {} from Builtin, {} from", reached),
         (
             "takes {:.2f} times Builtin's time, with an interval of {:.2f} to {:.2f}, and the thesis's network, "
             "rebuilt, takes {:.2f} times its time, with an interval of {:.2f} to {:.2f}",
-            lambda: [*not_efficient("model.h5")[1], *not_efficient("thesis_factored.h5")[1]],
+            lambda: [*not_efficient(FAR_FIELD)[1], *not_efficient(CNN)[1]],
         ),
         ("five channels of input and {:,} weights", lambda: weights_of_thesis()[:1]),
         ("Its rate began at {:g}, as in Appendix B, where Table 5.2 has {:g}", first_rates),
@@ -648,15 +675,17 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             ],
         ),
         ("was shown 1/{:.1f} as many states", lambda: [training_share()]),
-        ("1/{:.1f} of the states, and in Figure 4.3 one state", lambda: [training_share()]),
+        ("training, on 1/{:.1f} of the states", lambda: [training_share()]),
         (
-            "Its λ is off by {:.2f} on a state of a falling pile, or by {:.2f} if its image is read back as in their code",
-            lambda: list(stored("figure_4_3")["data"]["relative error of λ"].values())[:2],
+            "Its grid values are off by {:.2f} of their size in twelve falling piles, and its λ at the contacts by {:.2f}, or by "
+            "{:.2f} if its image is read back as in their code. Builtin is off by {:.2f} and {:.2f}, zero by 1. The true image, "
+            "read back bilinearly, is off by {:.2f}",
+            errors_of_images,
         ),
         (
             "Its θ after 100 sweeps is {:.2f} of None's, or {:.2f} read as in their code (Figure 5.9)",
             lambda: [
-                ratio_after("figure_5_9", f"CNN (thesis_factored.h5){read} is a start", 100)[0]
+                ratio_after("figure_5_9", f"{CNN}{read} is a start", 100)[0]
                 for read in READ_NETWORK.values()
             ],
         ),
@@ -687,8 +716,12 @@ GIVEN: dict[str, list[str]] = {
         *("about 1 ms of its own", "a scene took 10 ms", "a task of 10 s"),
     ],
     "other_starts.md": ["Δt = 0.01 s", "1.75 | 1.45", "ω = 1.75 for the normal and 1.45 for", "d = h = 0.5 m"],
+    "recipes.md": ["speeds from 0.1 to 10"],
     "solvers.md": ["9.81 m/s² and Δt = 0.01 s", "√1000 times", "more than 100 times"],
-    "starts.md": ["off by more than 5 %", "radii from 0.8 m"],
+    "starts.md": [
+        *("off by more than 5 %", "radii from 0.8 m", "2 to 5 times as fast", "10 to 60 times as fast"),
+        *("about 90 % for a pile that flows out and 65 % for bulldozing",),
+    ],
     "thesis.md": [
         *("95 %", "d = 0.75 m with h = 0.5 m", "of d = h = 0.5 m"),
         *("0.25, 0.5 and 0.75 m", "goes from 0.25 m to 2 m", "ratios of 1e-15 and less", "shown as 1e-15"),

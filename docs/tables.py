@@ -1,9 +1,8 @@
-"""python docs/tables.py [--check | --appendix]: fill the tables of README.md and docs/*.md from data/reference.
+"""python docs/tables.py [--check]: fill the tables of README.md and docs/*.md from data/reference.
 
 A table stands between the lines `<!-- table: NAME -->` and `<!-- end -->`. NAME is a function of this file, or a script
 such as figure_6_3, whose printed table is taken (`figure_6_3 poly6`: its rows with that word). With --check nothing is
-written, and the exit status is 1 if a table is not what its results file says. With --appendix the page of all lists
-and long tables is printed, which the site has (docs/hooks.py) and the repository does not.
+written, and the exit status is 1 if a table is not what its results file says.
 """
 
 from __future__ import annotations
@@ -271,40 +270,16 @@ def errata(kind: str) -> list[list]:
     return [list(found[0]), *(list(fault.values()) for fault in found)]
 
 
-def appendix() -> str:
-    """The page of all lists and long tables, as Markdown."""
-    parts = [
-        ("Claims of the thesis", claims(of_thesis=True)),
-        ("Goals", claims(of_thesis=False)),
-        ("Elements of the thesis", elements()),
-        *((kind, errata(kind)) for kind in ERRATA),
-        *((stored(stem)["title"], measured.printed(stem)) for stem in LONG if (REFERENCE / f"{stem}.json").exists()),
-        ("Engines, falling piles", engine("falling")),
-    ]
-    return APPENDIX + "".join(f"\n## {title}\n\n{markdown(rows)}" for title, rows in parts)
-
-
-LONG = [f"figure_{name}" for name in ("3_8", "5_10", "6_1", "6_2", "6_3", "6_6", "6_7")]
-LONG += ["figure_6_16", "table_6_4", "table_6_5"]
-"""Scripts whose whole table is in the appendix."""
-
-APPENDIX = """# Appendix
-
-Lists and long tables, made from `data/reference/` when this site is built.
-
-A claim about starts is judged by the mean θ after each sweep (Eq 2.30), as the thesis does, over twelve scenes. It
-holds at a number of sweeps where the 95 % interval of the ratio of two starts' θ lies within the claimed range. The
-last column has that ratio after 10, 100 and 1,000 sweeps. Goals are those that this project set itself.
-Claims on the thesis's network are judged by the one that was rebuilt here; for the thesis's own they are open.
-In the list of elements *right* says that an element was derived or measured here and came out the same; a dash, that
-there is nothing to check.
-"""
-
-_MADE = (engine, live, first_calls, noticed, presets, rivals, rivals_short, kinds, missed, figures, sph_start)
+_MADE = (engine, live, first_calls, noticed, presets, rivals, rivals_short, kinds, missed, figures, sph_start, elements)
 
 TABLES = {table.__name__.replace("_", " "): table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True, holding=False),
+    "all claims": lambda: claims(of_thesis=True),
+    "goals": lambda: claims(of_thesis=False),
     "errata": lambda: errata("Errata of the thesis"),
+    "conventions": lambda: errata("Conventions and scope that differ here"),
+    "authors code": lambda: errata("The authors' code beside the thesis"),
+    "engine falling": lambda: engine("falling"),
 }
 
 
@@ -325,7 +300,7 @@ def old_on(page: str, text: str) -> str:
     filled(page, text)
     used = sorted(measured.USED | set(re.findall(r"data/reference/(\w+)\.png", text)))
     old = [f"<li><code>{name}</code>: {why}</li>" for name in used if (why := staleness.why_old(name))]
-    title = f"Old: {len(old)} of the {len(used)} results behind this page were made by other code than today's"
+    title = f"{len(old)} of the {len(used)} results behind this page were made before the code last changed: which, and why"
     return f"<details><summary>{title}</summary><ul>{''.join(old)}</ul></details>\n" if old else ""
 
 
@@ -333,11 +308,7 @@ def main() -> int:
     """Fill or check."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing, fail if a table is out of date")
-    parser.add_argument("--appendix", action="store_true", help="print the appendix, and write nothing")
     asked, stale = parser.parse_args(), []
-    if asked.appendix:
-        print(appendix())
-        return 0
     for path in PAGES:
         before = path.read_text(encoding="utf-8")
         after = filled(path.name, before)

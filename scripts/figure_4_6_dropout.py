@@ -9,7 +9,7 @@ from deep_contact.studies import chapter_5
 
 
 def compute(options, seed, jobs, progress):
-    """A small network with neurons left out; the trained network's first maps and its prediction, off and on."""
+    """A small network with neurons left out; the trained one's maps and prediction, off and on."""
     from deep_contact.cnn.backend import keras
 
     keras.utils.set_random_seed(seed)  # of the masks
@@ -19,7 +19,7 @@ def compute(options, seed, jobs, progress):
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     state = dc.simulate(scene, steps=options["steps"], solver=dc.PGS()).state
     names = [layer.name for layer in network.layers]
-    dropout = next(layer for layer in network.layers if isinstance(layer, keras.layers.Dropout))
+    dropout = next(layer for layer in network.layers if isinstance(layer, keras.layers.Dropout) and layer.rate)
     source = names[names.index(dropout.name) - 1]
 
     def maps_and_normal(layer, training):
@@ -93,7 +93,7 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "model": "models/thesis_factored.h5", "rate drawn": 0.4, "masks": 100, "n_bodies": 100, "size": 30.0, "steps": 150,
+    "model": "models/model.h5", "rate drawn": 0.4, "masks": 100, "n_bodies": 100, "size": 30.0, "steps": 150,
 }  # fmt: skip
 QUICK = {"masks": 40}
 FIGURE = Figure("4.6", "Dropout, off and on", compute, None, draw, claims, options=OPTIONS, quick=QUICK, seed=5,

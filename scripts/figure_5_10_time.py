@@ -16,7 +16,7 @@ from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import solve, step_problem
 from deep_contact.physics.solvers import PGS
-from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact.reporting import Figure, figures, plotting
 from deep_contact.state import State
 from deep_contact.studies import chapter_5, piles, starts, timing, verdicts
 from deep_contact.studies.starts import THRESHOLD, sweeps_to
@@ -121,14 +121,19 @@ def by_scene(pile, values):
     return np.bincount(pile["scene"], values) / np.bincount(pile["scene"])
 
 
+def missed(pile, name):
+    """How many states of a start do not reach the threshold; none of what is no start."""
+    return pile["starts"].get(name, {"missed": 0})["missed"]
+
+
 def is_given_up(pile, name):
     """Whether a start never reached the threshold."""
-    return pile["starts"][name]["missed"] == len(pile["scene"])
+    return missed(pile, name) == len(pile["scene"])
 
 
 def reached(pile, name):
     """How many states of a start reach the threshold: "38 of 40"."""
-    return f"{len(pile['scene']) - pile['starts'][name]['missed']} of {len(pile['scene'])}"
+    return f"{len(pile['scene']) - missed(pile, name)} of {len(pile['scene'])}"
 
 
 def times(pile, name):
@@ -162,12 +167,25 @@ def claims_of(pile, name, size, network):
         compared.append((text, "abstract, section 6.2.1", verdicts.SLOWER, ways))
     for text, thesis, within, numbers in compared:
         means, text = {f"mean {what}": float(np.mean(values)) for what, values in numbers.items()}, f"{where}: {text}"
-        if is_given_up(pile, name) and is_given_up(pile, "builtin"):
-            verdict = f"open: neither start reached it in {np.max(sweeps):,.0f} sweeps"
-            yield Claim(text, thesis, None, means, verdict)
-        else:
-            first, second, *_ = numbers.values()
-            yield verdicts.judged_values(first, second, text, thesis, within=within, also=means)
+        first, second, *_ = numbers.values()
+        for start in (of.partition(",")[0] for of in [*numbers][:2]):
+            means[f"solves at the cap, {start}"] = missed(pile, start)
+        judged = verdicts.judged_values(first, second, text, thesis, within=within, also=means)
+        yield open_where_capped(judged, len(pile["scene"]))
+
+
+def open_where_capped(claim, states):
+    """The claim; open where more sweeps of the solves that ended at the cap could change its verdict.
+
+    Such a solve counts with fewer sweeps and less time than it needs. So a ratio is above 1 for sure only if no second
+    solve ended at the cap, and below 1 only if no first one did.
+    """
+    first, second = (value for name, value in claim.measured.items() if name.startswith("solves at the cap"))
+    _, low, high = claim.measured[verdicts.RATIO]
+    if first == second == 0 or (low > 1 and not second) or (high < 1 and not first):
+        return claim
+    counts = f"{first} and {second} of {states} solves ended at the cap"
+    return claim._replace(holds=None, verdict=f"open: {counts}")
 
 
 def table(data):
@@ -175,9 +193,9 @@ def table(data):
     for size, pile in data["piles"].items():
         for name, start in pile["starts"].items():
             stages = [values.mean() for values in times(pile, name).values()]
-            sweeps, missed = np.mean(start["sweeps"]), f"{start['missed']} of {len(pile['scene'])}"
+            sweeps, given_up = np.mean(start["sweeps"]), f"{start['missed']} of {len(pile['scene'])}"
             label = plotting.style_of(name)["label"]
-            rows.append([size, label, *(ms or None for ms in stages), sum(stages), sweeps, missed])
+            rows.append([size, label, *(ms or None for ms in stages), sum(stages), sweeps, given_up])
         for name, why in pile["refused"].items():
             nothing = [None] * (len(COLOURS) + 2)
             rows.append([size, plotting.style_of(name)["label"], *nothing, f"refused: its {why.partition(':')[0]}"])
@@ -218,6 +236,6 @@ OPTIONS = starts.THESIS_WORLD | {
     "sizes": [100, 1000], "scenes": 10, "states": [4, 1], "every": [25, 100], "most": [10000, 20000], "repeats": 3,
     "spacing": starts.SPACING, "networks": chapter_5.NETWORKS,
 }  # fmt: skip
-QUICK = {"sizes": [100, 300], "scenes": 1, "most": [5000, 5000], "networks": {"cnn": chapter_5.NETWORKS["cnn"]}}
+QUICK = {"sizes": [100, 300], "scenes": 1, "most": [5000, 5000]}
 FIGURE = Figure("5.10", TITLE, compute, table, draw, claims, options=OPTIONS, quick=QUICK, seed=510)
 figures.run_as_script(FIGURE, __name__)

@@ -14,7 +14,7 @@ from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import StateWithContacts
 from deep_contact.studies import piles
-from deep_contact.warm_start import Cnn, LearnedSupport, Support
+from deep_contact.warm_start import Cnn, FarFieldNoPast, Support
 
 SHARES = {"median contact": 50, "90th percentile": 90}
 """Name -> percentile of the contacts of a pile."""
@@ -71,8 +71,8 @@ def measure(past: StateWithContacts, contacts: int, seed: int, models: list[str]
         "NNCG from zero": solve_contacts(state, solver=nncg, start="none"),
         "PGS from support": solve_contacts(state, solver=pgs, start=Support()),
     }
-    starts = {f"{name}.h5": Cnn(name)(past, pgs) for name in models[:-1]}
-    starts |= {f"{name}.h5": LearnedSupport(name)(state, pgs) for name in models[-1:]}
+    starts = {f"network, {name}": Cnn(name)(past, pgs) for name in models[:-1]}
+    starts |= {f"network, {name}": FarFieldNoPast(name)(state, pgs) for name in models[-1:]}
     answers |= {name: engine.solve(past, PGS(sweeps=0), *start) for name, start in starts.items()}
     errors = {
         name: [
@@ -183,9 +183,9 @@ def draw(data, options):
 
 OPTIONS = {"sizes": [100, 30, 300, 1000], "frictions": [0, 0.1, 0.3, 0.5, 1], "friction": 0.5, "circles": 100,
            "smallest": [0.8, 0.2, 0.5, 1], "contacts": 16, "scenes": 5, "least": 1e-4,
-           "models": ["thesis_factored", "model", "no_past"]}  # fmt: skip
+           "models": ["model", "far field", "far field, no past"]}  # fmt: skip
 QUICK = {"sizes": [30, 60], "frictions": [0, 0.5, 1], "smallest": [0.8, 0.4], "contacts": 8, "scenes": 2,
-         "models": ["model", "no_past"]}  # fmt: skip
+         "models": ["far field", "far field, no past"]}  # fmt: skip
 FIGURE = Figure("6.15", "How much of λ the positions determine", compute, None, draw, claims, options=OPTIONS,
                 quick=QUICK, digits=5)  # fmt: skip
 figures.run_as_script(FIGURE, __name__)

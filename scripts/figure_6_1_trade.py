@@ -61,9 +61,9 @@ def draw(data, options):
         ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if n < 10_000 else (1.0,)))
     for top, bottom, n in zip(panels[0], panels[-1], sizes):
         top.set_title(f"{n:,} circles")
-        bottom.set_xlabel("time of 10 ms (µs)")
-    for ax, text in zip(panels[:, 0], SHOWN.values()):
-        ax.set_ylabel(f"{text} (%)")
+        bottom.set_xlabel("computing time\nof 10 ms (µs)")
+    for ax, text in zip(panels[:, 0], ("error of the kinetic energy (%)", "deepest penetration (% of a radius)")):
+        ax.set_ylabel(text)
     key = panels[0, 0]
     key.plot([], [], "o", color=plotting.BLUE, markersize=4, label="ours, every setting")
     key.plot([], [], color=plotting.BLACK, linewidth=1.2, label="best of ours")

@@ -75,12 +75,12 @@ def draw(data, options):
             values, reach = zip(*map(run_errors.with_reach, values))
             look = {"color": colour, "marker": "o", "markersize": 4, "label": f"{n:,} circles"}
             ax.errorbar(steps, values, np.concatenate(reach, axis=1), **look)
-        for dt in (TIME_STEP, runs.REFERENCE["dt"]):
-            ax.axvline(dt, color=plotting.GREY, linewidth=0.6, linestyle=":")
+        for dt, look, line in ((TIME_STEP, "--", "10 ms"), (runs.REFERENCE["dt"], ":", "Δt of the reference")):
+            ax.axvline(dt, color=plotting.GREY, linewidth=0.9, linestyle=look, label=line)
         ax.set_ylabel(text)
         plotting.log_axes(ax)
     for ax in panels[1]:
-        ax.set_xlabel("time step Δt (s); dotted: the reference's, 10 ms")
+        ax.set_xlabel("time step Δt (s)")
     return plotting.legend_below(figure, panels[0, 0], "How far from the reference is a run, by its time step?")
 
 

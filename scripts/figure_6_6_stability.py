@@ -112,7 +112,8 @@ def draw(data, options):
     names = (f"{name}, {data['units'][name]}".rstrip(", ") for name in grouped)
     left.set_yticks(range(len(grouped)), [f"{name}\n{low:g} to {high:g}" for name, (low, high) in zip(names, ends)])
     left.set(ylim=(len(grouped) - 0.5, -0.5), xlim=(0, 1), title="Is it safe? (ours above)")
-    left.set_xticks([0.04, 0.96], ["least", "largest value"])
+    left.set_xticks([0, 1], ["least", "largest"])
+    left.set_xlabel("values tried, in order:\nbeside each name")
     middle.axvline(3, color=plotting.BLACK, linewidth=0.8, linestyle=":")
     for ax in (left, middle, right):
         ax.grid(False, axis="y")

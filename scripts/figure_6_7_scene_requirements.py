@@ -129,7 +129,8 @@ JOBS = {
     "import": "import deep_contact as dc",
     "simulate": "import deep_contact as dc; dc.simulate(dc.column(10), steps=1)",
     "simulate, no friction": "import deep_contact as dc; dc.simulate(dc.column(10, friction=0.0), steps=1)",
-    "predict": "import deep_contact as dc; dc.load_model().predict(dc.simulate(dc.column(10), steps=1).state)",
+    "predict": "import deep_contact as dc; state = dc.simulate(dc.column(10), steps=1).state; "
+    "dc.load_model('far field').predict(state)",
 }
 """Job -> the code of it."""
 

@@ -177,7 +177,7 @@ def draw(data, options):
     return figure
 
 
-OPTIONS = {"scenes": 20, "steps": 600, "every": 5, "after": [0, 3, 10, 30, 100], "model": "models/model.h5"}
+OPTIONS = {"scenes": 20, "steps": 600, "every": 5, "after": [0, 3, 10, 30, 100], "model": "models/far_field.h5"}
 QUICK = {"scenes": 2, "every": 15, "steps": 300}
 FIGURE = Figure("6.8", "What a learned start is worth from given states", compute, table, draw, claims, options=OPTIONS,
                 quick=QUICK, digits=4)  # fmt: skip

@@ -2,7 +2,7 @@
 
 data/README.md says what is made: <out>/sim_0000.h5, …, and with --xml every state as
 <out>/xml/sim_0000/sim_0000_<step>.xml. --quick makes four short simulations of few circles, in <out>/quick, --packings
-the data of the start `learned support`: four states of a pile that settles, whose contacts start from the support;
+the data of the start `far field, no past`: four states of a pile that settles, whose contacts start from the support;
 five eighths of the piles have 50 to 3,000 circles, the others 600 to 6,000.
 
 Simulation i depends on the seed and on i only: the same bits for any number of simulations or jobs. The script can be

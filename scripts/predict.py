@@ -3,8 +3,9 @@
 For each state file: <out>/<name>.csv with the impulses at the contacts, predicted, from Builtin where the file has
 them, and solved where it has the solution; <out>/<name>.npy with the predicted image, of impulses or of the
 coefficients that correct a start; <out>/<name>.png with the impulses in the scene. The model is by default "model",
-which corrects Builtin's impulses, and "no_past" for a file without impulses. Predictions are projected on the friction
-cone. The velocity errors of the solver from them and from Builtin are printed.
+the thesis's network, for boxes of 30 m × 30 m; it needs Keras. "far field" takes any box: it corrects Builtin's
+impulses. "far field, no past" is for files without impulses: it corrects the start "support". Predictions are
+projected on the friction cone. The velocity errors of the solver from them and from Builtin are printed.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact.__main__ import status_of
-from deep_contact.cnn.backend import limit_threads
+from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.evaluation import SWEEPS, velocity_errors
-from deep_contact.cnn.inference import load_model, model_of
+from deep_contact.cnn.inference import FarFieldModel, load_model
 from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting
 
@@ -64,19 +65,18 @@ def report(state, predicted, builtin: str) -> list[str]:
 
 
 def predict_file(path: Path, model, out: Path, *, pictures: bool = True) -> list[str]:
-    """Predict one state file, write the results, and return the lines to print. model: None chooses by the state."""
+    """Predict one state file, write the results, and return the lines to print."""
     state = dc.read_state(path)
     if state.contacts is None:
         state = dc.find_contacts(state)
     if state.contacts.count == 0:
         return [f"{path}: no contacts, nothing to predict"]
     seen, builtin, lines = state, "from the last step", []
-    if model is None and not state.contacts.have_past:
-        # `warm_start.LearnedSupport`: the network corrects what the positions say.
+    if isinstance(model, FarFieldModel) and not state.contacts.have_past:
+        # As `warm_start.FarFieldNoPast`, whose network has learned to correct this start.
         impulses = dict(zip(("normal_start", "tangent_start"), dc.warm_start.Support()(state, None)))
         seen, builtin = state.replace(contacts=state.contacts._replace(**impulses)), "from the support"
-        model, lines = "no_past", ["  no impulses of a step before: predicted from the positions, by no_past"]
-    model = model_of(model)
+        lines = ["  no impulses of a step before: the network corrects the start support"]
     predicted = model.predict(seen)
     name = path.name.removesuffix(".gz").removesuffix(".xml")
     with replacing(out / f"{name}.csv") as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
@@ -95,13 +95,13 @@ def main(argv=None) -> int:
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("states", nargs="+", type=Path, metavar="STATE.xml", help="state files")
-    add("--model", default=None, help="model file, or a name in models/registry.json; default: by state")
+    add("--model", default=None, help='a file, "model" (the default), "far field" or "far field, no past"')
     add("--out", type=Path, default=Path("predictions"), help="folder for the results")
     add("--no-pictures", action="store_true", help="numbers only")
     args = parser.parse_args(argv)
     try:
-        limit_threads(1)
-        model = load_model(args.model) if args.model else None
+        one_thread()
+        model = load_model(args.model)
         args.out.mkdir(parents=True, exist_ok=True)
     except (ModuleNotFoundError, OSError, ValueError) as error:
         parser.exit(status_of(error), f"{parser.prog}: {error}\n")

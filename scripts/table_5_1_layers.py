@@ -46,8 +46,9 @@ def table(data):
     for theirs, mine in zip(data["printed"], data["built"]):
         kernel = " × ".join(map(str, mine["kernel"])) if mine["kernel"] else None
         rows.append([mine["kind"], text(theirs), text(mine), kernel, f"{mine['parameters']:,}", equal(theirs, mine)])
-    total = sum(layer["parameters"] for layer in data["built"])
-    return [*rows, ["all", None, None, None, f"{total:,}", None]]
+    total, trained = (sum(layer[of] for layer in data["built"]) for of in ("parameters", "trainable"))
+    rows.append(["all", None, None, None, f"{total:,}", None])
+    return [*rows, ["of these, trained", None, None, None, f"{trained:,}", None]]
 
 
 FIGURE = Figure("T 5.1", "Layers of the thesis's network", compute, table, claims=claims)

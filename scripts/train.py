@@ -1,10 +1,11 @@
-"""python scripts/train.py [--quick] [--architecture "far field"|thesis] [--out FOLDER] …: train a network.
+"""python scripts/train.py [--quick] [--recipe "far field"|thesis|"authors' code"] [--out FOLDER] …: train a network.
 
     python scripts/train.py --quick                          # a small network on its own small data, in two minutes
     python scripts/generate_data.py                          # the data, once
     python scripts/train.py                                  # the far-field network, through the solver
-    python scripts/train.py --architecture thesis --epochs 10
-    python scripts/train.py --from models/model.h5 --epochs 5 --out runs/further    # go on from a model, its settings
+    python scripts/train.py --recipe thesis --epochs 80             # the thesis's network, as the thesis prints it
+    python scripts/train.py --recipe "authors' code" --epochs 80    # as its authors' code trains it
+    python scripts/train.py --from models/far_field.h5 --epochs 5 --out runs/further    # go on, with its settings
 
 <out>/history.png, the learning curve, is drawn after every epoch. Started again with the same flags, a run goes on
 after the last epoch that is done. At the end <out>/model.h5 is a model file with its card. `deep-contact train`
@@ -23,15 +24,15 @@ from dataclasses import fields
 from pathlib import Path
 
 from deep_contact.__main__ import INTERRUPTED, status_of
-from deep_contact.cnn.training.config import CONFIGS, TrainingConfig, config_of
+from deep_contact.cnn.training.config import RECIPES, TrainingConfig, config_of, recipe
 
 QUICK_DATA = "--simulations 12 --steps 250 --bodies 40 60 --seed 1 --jobs 1".split()
 """What `generate_data.py` makes for --quick."""
 QUICK = {
     "far field": {"options": {"width": 8}, "epochs": 8, "states_per_epoch": 960},
     "thesis": {
-        "options": {"stacks": [[4, [3]], [8, [3]], [8, [2]], [16, [2]], [16, [2]]], "dropout": 0.1},
-        **{"epochs": 16, "states_per_epoch": 640, "batch_size": 8, "schedule": "scaled appendix b"},
+        "options": {"stacks": [[4, [3]], [8, [3]], [8, [2]], [16, [2]], [16, [2]]], "rank": None},
+        **{"epochs": 16, "states_per_epoch": 640, "batch_size": 8},
     },
 }
 for _small in QUICK.values():
@@ -44,12 +45,13 @@ def arguments() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, argument_default=argparse.SUPPRESS, **layout)
     add = parser.add_argument
     add("--quick", action="store_true", default=False, help="a small network and its data, made in <out>/data")
+    add("--recipe", choices=RECIPES, help="settings by name (far field)")
     add("--data", default=None, help="folder of the simulations (data/generated)")
-    add("--out", default=None, help="folder of the run; by default runs/<architecture> or runs/quick_<architecture>")
+    add("--out", default=None, help="folder of the run; by default runs/<recipe> or runs/quick_<recipe>")
     add("--from", default=None, metavar="PATH", dest="from_model", help="go on from this model, by its file or name")
     add("--threads", type=int, default=1, help="of TensorFlow")
     add("--held-out", type=int, default=300, metavar="N", help="test states for the card")
-    add = parser.add_argument_group("settings (defaults by architecture)").add_argument
+    add = parser.add_argument_group("settings (defaults by recipe)").add_argument
     hints = typing.get_type_hints(TrainingConfig)
     special = {
         "options": {"nargs": "*", "type": option, "metavar": "NAME=NUMBER", "help": "of the network"},
@@ -71,15 +73,24 @@ def option(text: str):
 
 
 def configuration(changes: dict, from_model, quick: bool = False) -> TrainingConfig:
-    """The settings by their flags: those of a model, or the defaults of the architecture, with changes."""
+    """The settings by their flags: those of a model or of a recipe, with changes."""
     if "options" in changes:
         changes["options"] = dict(changes["options"])
+    name = changes.pop("recipe", None)
     if from_model is not None:
+        if name is not None:
+            raise ValueError("recipe: expected none beside --from, which has the settings of its model")
         from deep_contact.cnn.model_file import read_metadata
 
         return config_of(read_metadata(from_model), **changes)
-    small = QUICK.get(changes.get("architecture", "far field"), {}) if quick else {}
-    return CONFIGS.get(changes.get("architecture"), TrainingConfig)(**(small | changes))
+    if name is None and changes.get("architecture") == "thesis":
+        raise ValueError(
+            "architecture: expected a recipe of the thesis's, --recipe thesis or \"authors' code\", got none"
+        )
+    settings = recipe(name or "far field")
+    small = QUICK[settings.architecture] if quick else {}
+    options = small.get("options", {}) | changes.get("options", {})
+    return recipe(name or "far field", **(small | changes | {"options": options}))
 
 
 def run(data, out, quick, **changes) -> None:
@@ -89,9 +100,10 @@ def run(data, out, quick, **changes) -> None:
         from deep_contact.cnn.registry import network_file
 
         options["from_model"] = network_file(options["from_model"])
+    folder = changes.get("recipe", "far field").replace(" ", "_").replace("'", "")
     config = configuration(changes, options["from_model"], quick)
     print(config)
-    out = Path(out or f"runs/{'quick_' if quick else ''}{config.architecture.replace(' ', '_')}")
+    out = Path(out or f"runs/{'quick_' if quick else ''}{folder}")
     from deep_contact.cnn.dataset import Store
 
     if quick and data is None:

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -203,7 +204,7 @@ def test_flags_change_the_world_of_a_scene_and_of_a_file(tmp_path, monkeypatch):
     state = dc.read_state("moon.xml")
     assert state.bodies == dc.circles_in_box(3, radius=(0.5, 0.7), **moon).bodies
     assert (state.world, state.dt) == (dc.World(**moon), 0.004)
-    other = ["--friction", "1", "--gravity", "2", "-3"]
+    other = ["--friction", "1", "--gravity", "2", "-3e0"]
     assert main(["simulate", "moon.xml", *other, "--steps", "0", "--out", "x.xml"]) == 0
     assert dc.read_state("x.xml").world == dc.World(friction=1.0, restitution=0.4, gravity=(2.0, -3.0))
 
@@ -215,6 +216,26 @@ def test_a_file_may_come_after_options_of_one_number_or_two(scene, capsys):
         with pytest.raises(SystemExit, match="2"):
             main(["simulate", "--steps", "0", *words, "--radius", "1", str(scene)])
         assert "--radius: expected none beside STATE.xml" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("word", ["-1e1", "-1E+1", "-.5e-3", "-1.25e2", "-1e300", "-3e-12"])
+def test_a_negative_number_with_an_exponent_is_no_option(word):
+    args = command_line._parsers()[0].parse_args(["simulate", "--gravity", "0", command_line._without_exponent(word)])
+    assert args.gravity == [0.0, float(word)]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["trade", "--scene", "lattice_in_box", "--bodies", "2", "--steps", "20", "--seeds", "1"],
+        ["figure", "3.3", "--quick"],
+    ],
+)
+def test_commands_run_in_any_thread(words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(dc, "measure_trade", lambda scene, **options: "measured")
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(main, words).result() == 0
 
 
 def test_a_pile_of_a_file_whose_gravity_is_taken_away_stays(scene, tmp_path):
@@ -238,6 +259,21 @@ def test_a_run_is_filmed_at_the_pace_of_the_scene(tmp_path, monkeypatch):
     assert main(["simulate", "--bodies", "3", "--steps", "8", "--every", "4", "--out", "run.gif"]) == 0
     with Image.open("run.gif") as film:
         assert (film.n_frames, film.info["duration"]) == (3, 40)
+    assert main(["simulate", "--bodies", "3", "--steps", "9", "--every", "1", "--out", "fast.gif"]) == 0
+    with Image.open("fast.gif") as film:  # 10 states of 1/100 s, of which players show every second
+        assert (film.n_frames, film.info["duration"]) == (5, 20)
+
+
+def test_a_run_is_a_page_and_its_last_step_a_picture_of_forces(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    drawn = []
+    monkeypatch.setattr(dc.plotting, "draw_contact_forces", lambda ax, state: drawn.append(state))
+    arguments = ["simulate", "--bodies", "5", "--size", "12", "--seed", "3", "--steps", "9", "--every", "4", "--out"]
+    assert main([*arguments, "run.html"]) == 0
+    assert '"times":[0.0,0.04,0.08,0.09]' in Path("run.html").read_text()
+    assert main([*arguments, "pile_forces.png"]) == 0
+    (state,) = drawn
+    assert (state.step, state.solved) == (8, True)
 
 
 def test_an_accuracy_picks_the_solver(capsys):

@@ -3,7 +3,10 @@
 import base64
 import dataclasses
 import io
+import json
 import re
+import sys
+import types
 from xml.etree import ElementTree
 
 import numpy as np
@@ -54,10 +57,42 @@ def test_what_cannot_be_drawn_is_left_out():
 def test_a_run_shows_how_its_solves_ended_and_a_trajectory_plays(run, monkeypatch):
     assert "converged" in run._repr_html_()
     assert dc.simulate(dc.column(1), steps=0)._repr_html_()
-    for most, count in ((40, 4), (3, 2)):  # of four states every one, and every second
-        monkeypatch.setattr(trajectory, "MOST_FRAMES", most)
-        (film,) = shown_in(run.trajectory._repr_html_())
-        assert film.n_frames == count
+    for most, times in ((12, 4), (6, 2)):  # of four states of three circles every one, and every second
+        monkeypatch.setattr(trajectory, "MOST_SHOWN", most)
+        frame = ElementTree.fromstring(run.trajectory._repr_html_())
+        assert (frame.tag, frame.get("sandbox")) == ("iframe", "allow-scripts")
+        data = json.loads(re.search(r'application/json">(.*?)</script>', frame.get("srcdoc"))[1])
+        assert data["times"] == run.trajectory.times[:: 4 // times].tolist()
+    monkeypatch.setattr(trajectory, "MOST_SHOWN", 5)
+    assert "iframe" not in run.trajectory._repr_html_()
+
+
+def test_a_simulator_shows_its_state_and_is_drawn_anew_in_its_place(monkeypatch):
+    """As IPython calls it: `display` gives a place, `update` draws there. Another cell gets another place."""
+    live, calls, cell = dc.Simulator(dc.column(3), solver=dc.PGS()), [], types.SimpleNamespace(execution_count=1)
+
+    class Place:
+        def update(self, shown):
+            calls.append(("anew", shown.time))
+
+    def display(shown, display_id):
+        calls.append(("here", shown.time))
+        return Place()
+
+    with pytest.raises(ValueError, match="show: expected a notebook"):
+        live.show()
+    monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=lambda: cell))
+    monkeypatch.setitem(sys.modules, "IPython.display", types.SimpleNamespace(display=display))
+    live.show(5, every=2)
+    live.show()
+    cell.execution_count = 2
+    live.show()
+    assert [name for name, _ in calls] == ["here", "anew", "anew", "anew", "anew", "here"]
+    np.testing.assert_allclose([time for _, time in calls], [0.0, 0.02, 0.04, 0.05, 0.05, 0.05])
+    assert live._repr_html_() == live.state._repr_html_()
+    for options in ({"steps": -1}, {"steps": 1, "every": 0}):
+        with pytest.raises(ValueError, match="expected an integer"):
+            live.show(**options)
 
 
 def test_a_state_names_the_walls_that_are_touched():
@@ -118,7 +153,7 @@ def test_nothing_writes_into_a_state(locked):
     for array in (*state.bodies, *state.contacts):
         array.flags.writeable = not locked
     for solver in (dc.PGS(), dc.BatchedPGS()):
-        for start in ("none", "builtin", "sph", "cnn"):
+        for start in ("none", "builtin", "sph", "far field"):
             dc.simulate(state, steps=3, solver=solver, warm_start=start)
             dc.solve_contacts(state, solver=solver, start=start)
     assert state == before

@@ -27,8 +27,8 @@ TANGENT, SUBSTEPS, ISLANDS = "tangent rows and spin", "substeps", "islands"
         (COLUMN, {}, "calls between steps", False),
         (COLUMN, {}, "position correction", True),
         (COLUMN, {"solver": dc.PGS(position_sweeps=0)}, "position correction", False),
-        (COLUMN, {"warm_start": "cnn"}, "network", True),
-        (COLUMN, {"warm_start": "learned support"}, "network", True),
+        (COLUMN, {"warm_start": "far field"}, "network", True),
+        (COLUMN, {"warm_start": "far field, no past"}, "network", True),
         (COLUMN, {"warm_start": dc.warm_start.Cnn()}, "network", True),
         (COLUMN, {"warm_start": "support"}, "network", False),
     ],
@@ -41,7 +41,30 @@ def test_a_start_with_tangents_keeps_the_rows():
     state = dc.simulate(COLUMN, steps=3).state
     contacts = state.contacts._replace(tangent_start=state.contacts.tangent_start + 1e-3)
     state = state.replace(contacts=contacts, world=dc.World(friction=0.0))
-    assert dc.plan(state)[TANGENT].used
+    assert dc.plan(state)[TANGENT] == (True, "friction is 0, but the state starts from tangent impulses")
+    assert dc.plan(FREE, solver=dc.BatchedPGS(sweeps=3))[TANGENT].why.startswith(
+        "friction is 0, but BatchedPGS(sweeps=3"
+    )
+    assert dc.plan(FREE, solver=dc.PGS())[TANGENT] == (False, "friction is 0")
+    assert dc.plan(dc.column(3, friction=0.25), solver=dc.PGS())[TANGENT] == (True, "friction is 0.25")
+
+
+def test_reasons_are_those_of_the_options():
+    touching = dc.find_contacts(dc.column(3))
+    plan = dc.plan(touching, solver=dc.PGS(islands=True, position_sweeps=7), sleep=True, warm_start="support")
+    assert plan[ISLANDS] == (True, "asked for; 1 of them touch something now")
+    assert plan["sleeping"] == (True, "asked for")
+    assert plan["position correction"] == (True, "at most 7 sweeps, none where nothing is deep")
+    assert plan["calls between steps"] == (True, "every step calls the start")
+    assert plan["network"] == (False, "the start is Support")
+    other = dc.plan(dc.single_body(height=9.0), solver=dc.NNCG(), warm_start=None)
+    assert other[ISLANDS] == (False, "not asked for; 0 of them touch something now")
+    assert other["sleeping"] == (False, "not asked for")
+    assert other["calls between steps"] == (False, "no step calls the start")
+    assert not other["batches of contacts"].used
+    assert other.warm_start == "none"
+    assert (plan.scene, plan.n_bodies, plan.us) == ("column_3", 3, None)
+    assert dc.plan(touching, accuracy="fast").us > 0
 
 
 def test_a_plan_prints_a_line_a_part():
@@ -109,3 +132,8 @@ def test_segments_and_belts_are_counted():
     choice = dc.plan(COLUMN.replace(world=world))["segments"]
     assert choice == (True, "the world has 2, 1 have a surface that moves")
     assert dc.plan(COLUMN)["segments"] == (False, "the world has none")
+    moving = replace(world, segment_velocities=[((0.0, 0.0), (3.0, 0.0)), ((0.0, 0.0), (0.0, 0.0))])
+    choice = dc.plan(COLUMN.replace(world=moving), solver=dc.PGS())["segments"]
+    assert choice == (True, "the world has 2, 1 of them move, 1 have a surface that moves")
+    both = replace(moving, surface_speeds=(), segment_velocities=[((1.0, 1.0), (3.0, 2.0)), ((0.0, 0.0), (0.0, -1.0))])
+    assert dc.plan(COLUMN.replace(world=both), solver=dc.PGS())["segments"] == (True, "the world has 2, 2 of them move")

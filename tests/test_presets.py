@@ -363,3 +363,29 @@ def test_a_run_that_goes_on_under_its_preset_keeps_its_solver(through, tmp_path)
     for change in ({"dt": 0.002}, {"world": replace(later.world, restitution=0.5)}, {"solver": dc.PGS(sweeps=99)}):
         other = later.replace(**change)
         assert method_of(other, accuracy="fast").solver == presets.decide(other, "fast").solver
+
+
+@pytest.mark.parametrize("field", ["velocity", "position"])
+def test_circles_that_were_written_to_are_another_scene_for_a_preset(field):
+    """The state keeps its preset, and its load tells that it is not the state to which the run has come."""
+    later = dc.simulate(dc.column(3), steps=3, accuracy="fast").state
+    before = later.solver
+    assert method_of(later, accuracy="fast").solver == before
+    getattr(later.bodies, field)[0] += 1e-3
+    later.bodies.velocity[:] -= 200.0 * (field == "velocity")
+    assert later.preset == "fast"
+    now = method_of(later, accuracy="fast").solver
+    assert now == method_of(later.replace(solver=None), accuracy="fast").solver
+    assert (now.substeps > before.substeps) == (field == "velocity")
+    if field == "velocity":
+        assert dc.simulate(later, steps=1, accuracy="fast").state.solver == now
+
+
+def test_a_state_names_the_preset_of_its_own_solver_alone():
+    state = dc.simulate(dc.column(3), steps=3, accuracy="fast").state
+    assert state.preset == "fast"
+    assert dc.simulate(state, steps=2).state.preset == "fast"
+    assert dc.simulate(state, steps=2, accuracy="fast").state.preset == "fast"
+    assert dc.simulate(state, steps=2, solver=dc.PGS(sweeps=2)).state.preset is None
+    assert dc.simulate(state, steps=2, accuracy="preview").state.preset == "preview"
+    assert dc.simulate(dc.column(3), steps=2).state.preset is None

@@ -43,6 +43,19 @@ def test_a_column_at_rest_carries_its_weight():
         np.testing.assert_allclose(np.interp(at + 0.06, LOADS, seen.loads), load / 5, atol=0.02)
 
 
+@pytest.mark.parametrize("spin", [0.0, 2.0])
+def test_fixed_circles_belong_to_the_walls_and_have_no_energy_height_or_weight(spin):
+    """Of circles of one radius, since lengths are counted in the mean of all."""
+    alone = states(dc.column(2), count=25, each=2)
+    peg = dc.make_bodies([[2.0, 25.0]], spin=spin, fixed=True)
+    pegged = [state.with_bodies(add=peg) for state in alone]
+    seen, expected = observe(pegged), observe(alone)
+    for name in ("kinetic", "height", "force", "penetration", "loads"):
+        np.testing.assert_allclose(getattr(seen, name), getattr(expected, name), rtol=1e-12, err_msg=name)
+    assert np.isfinite(seen.speed).all()
+    assert errors([seen], [expected])["energy"] == pytest.approx(0.0, abs=1e-9)
+
+
 def test_penetration_is_that_of_the_contacts():
     scene = dc.two_bodies(speed=0.0)
     world = dc.World(gravity=(0, -1e-9))

@@ -42,7 +42,7 @@ def boxes():
 
 @cache
 def models():
-    return {name: dc.load_model(name) for name in ("model", "no_past", "models/thesis_factored.h5")}
+    return {name: dc.load_model(name) for name in ("far field", "far field, no past", "models/model.h5")}
 
 
 @pytest.fixture(scope="module")
@@ -88,7 +88,7 @@ def calls(folder):
         "decide": lambda i: presets.decide(scenes[i], None),
         "measure_trade": lambda i: [row["errors"] for row in dc.measure_trade(scenes[i], settings=[], **few).rows],
         "load_trade": lambda i: str(dc.load_trade(folder / "trade.json")),
-        "load_model": lambda i: dc.load_model("no_past").predict(boxes()[i]),
+        "load_model": lambda i: dc.load_model("far field, no past").predict(boxes()[i]),
         "read_state": lambda i: dc.read_state(folder / f"{i}.xml"),
         "write_state": lambda i: [dc.write_state(one, states()[0]), dc.read_state(one)][1],
         "load_trajectory": lambda i: dc.load_trajectory(folder / f"{i}.h5")[1],

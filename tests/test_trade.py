@@ -208,6 +208,16 @@ SPOILT = {
     "text for times": lambda stored: json.dumps(stored | {"rows": [one | {"us": "1"} for one in stored["rows"]]}),
     "a setting that is none": lambda stored: json.dumps(stored | {"settings": {"a": {"method": "PGSS"}}}),
     "an observation that is none": lambda stored: json.dumps(stored | {"observed": [["a", 0, 1.0, {}]]}),
+    "no number for times": lambda stored: json.dumps(
+        stored | {"rows": [one | {"us": math.nan} for one in stored["rows"]]}
+    ),
+    "times below 0": lambda stored: json.dumps(stored | {"rows": [one | {"us": -1.0} for one in stored["rows"]]}),
+    "a number beyond floats": lambda stored: json.dumps(stored | {"dt": 7.5}).replace("7.5", "1e999"),
+    "no time step": lambda stored: json.dumps(stored | {"dt": math.nan}),
+    "fewer circles than none": lambda stored: json.dumps(stored | {"n_bodies": -5}),
+    "an unknown option": lambda stored: json.dumps(
+        stored | {"rows": [one | {"setting": one["setting"] | {"omga": 1.0}} for one in stored["rows"]]}
+    ),
     "observed once": lambda stored: json.dumps(stored | {"observed": [3]}),
 }
 """What a file may be in place of a trade -> its text, of what `Trade.save` writes."""
@@ -383,6 +393,88 @@ def test_the_nearest_is_taken_where_nothing_keeps_a_tolerance_and_a_budget_of_se
 def test_a_scene_of_twice_or_half_the_circles_is_another(count, is_said):
     trade = by_hand(rows=rows(energy=((1.0, 1.0, 1.0),) * 2), n_bodies=100)
     assert bool(trade.decide(dc.lattice_in_box(count)).warnings) == is_said
+
+
+def test_a_trade_decides_solver_and_start_of_the_row_that_it_chooses():
+    found = rows(energy=((1.0, 1.0, 1.0), (1.0, 1.0, 1.0)))
+    found[0]["setting"] = SETTINGS[CHEAP] | {"start": "support"}
+    scene = dc.lattice_in_box(2)
+    for us, start, sweeps in (((1.0, 2.0), "support", 2), ((3.0, 2.0), "builtin", 4)):
+        trade = by_hand(rows=[row | {"us": each} for row, each in zip(found, us)])
+        decision = trade.decide(scene)
+        assert (decision.start, decision.us, decision.warnings) == (start, min(us), ())
+        assert decision.solver == dc.PGS(sweeps=sweeps, tolerance=None)
+        assert dc.plan(scene, accuracy=trade).warm_start == start
+
+
+@pytest.mark.parametrize("radius", [1.0, 0.01])
+def test_a_reference_has_small_steps_and_half_of_it_has_half_of_them(radius):
+    """A sixteenth of a preset's longest step; of what is solved to a tolerance, too."""
+    scene = dc.lattice_in_box(20, radius=(radius, radius))
+    numbers = module.scene_numbers(scene)
+    parts = module.presets.parts_for(numbers, 0.01 / 16)
+    assert parts == {1.0: 16, 0.01: 256}[radius]
+    once, twice = (module.reference_of(numbers, None, finer) for finer in (1, 2))
+    assert once == {"method": "PGS", "sweeps": 20, "dt": scene.dt, "substeps": parts}
+    assert twice == once | {"substeps": 2 * parts}
+    column = module.Stiffness("a column", 1e-3)
+    for finer in (1, 2):
+        setting = module.reference_of(numbers, column, finer)
+        assert module.solver_of(setting) == column.solver(finer * parts)
+
+
+HEAPS = [module.Stiffness("a heap", None, k) for k in (2, 100)]
+
+
+@pytest.mark.parametrize("heap", HEAPS, ids=lambda heap: heap.heap)
+def test_the_reference_of_a_heap_has_substeps_of_20_sweeps_in_place_of_8_and_four_times_as_many(heap):
+    numbers = module.scene_numbers(dc.lattice_in_box(20))
+    setting = module.reference_of(numbers, heap)
+    assert (setting["method"], setting["sweeps"]) == ("PGS", 20)
+    assert setting["substeps"] == 4 * heap.solver(16).substeps
+    assert module.reference_of(numbers, heap, 2)["substeps"] > setting["substeps"]
+
+
+@pytest.mark.parametrize("heap", HEAPS, ids=lambda heap: heap.heap)
+def test_half_the_step_of_a_heaps_reference_is_half_of_it(heap):
+    numbers = module.scene_numbers(dc.lattice_in_box(20))
+    once, twice = (module.reference_of(numbers, heap, finer) for finer in (1, 2))
+    assert twice == once | {"substeps": 2 * once["substeps"]}
+
+
+@pytest.mark.parametrize(
+    ("setting", "name"),
+    [
+        ({"method": "PGS", "sweeps": 1, "dt": 0.01}, "PGS, 1 sweep, Δt"),
+        ({"method": "PGS", "sweeps": 2, "dt": 0.005, "substeps": 4}, "PGS, 2 sweeps, substeps=4, Δt / 2"),
+        ({"method": "PSOR", "omega": 1.2, "sweeps": 3, "dt": 0.04}, "PSOR, 3 sweeps, omega=1.2, 4 Δt"),
+        ({"engine": "Box2D v3", "sweeps": 4, "dt": 0.01 / 3}, "Box2D v3, 4 iterations, Δt / 3"),
+        ({"engine": "pymunk", "sweeps": 1, "dt": 0.01}, "pymunk, 1 iteration, Δt"),
+    ],
+)
+def test_a_setting_has_a_name_that_tells_all_of_it(setting, name):
+    assert module.name_of(setting, 0.01) == name
+    if "method" in setting:
+        assert module.setting_of(module.solver_of(setting), setting["dt"]) == setting
+        assert module.setting_of(module.solver_of(setting), 0.01, "support")["start"] == "support"
+
+
+def test_a_picture_has_our_settings_with_their_front_and_other_engines_beside_it():
+    """The front goes from the cheapest to ever smaller errors."""
+    found = [
+        {"us": us, "group": group, "errors": {"energy": (error, 0.5 * error, 1.5 * error)}}
+        for us, group, error in [(3.0, "PGS", 6.0), (1.0, "PGS", 9.0), (2.0, "NNCG", 9.5), (4.0, "PGS", 7.0),
+                                 (0.5, "Box2D v3", 1.0)]
+    ]  # fmt: skip
+    _, ax = module.plotting.subplots()
+    module.draw_plane(ax, found, "energy")
+    fronts = [line for line in ax.lines if line.get_drawstyle() == "steps-post"]
+    assert [line.get_xydata().tolist() for line in fronts] == [[[1.0, 9.0], [3.0, 6.0]]]
+    grey = [bars[0].get_color() == module.plotting.GREY for bars in ax.containers]
+    assert grey == [False, False, False, False, True]
+    dotted = sorted(line.get_ydata()[0] for line in ax.lines if line.get_linestyle() == ":")
+    assert dotted == sorted(most["energy"] for most in dc.presets.PRESETS.values())
+    assert [text.get_text() for text in ax.texts] == list(dc.presets.PRESETS)
 
 
 def test_errors_of_quantities_are_shares_that_are_shown_in_percent():

@@ -90,7 +90,7 @@ def test_random_differs_by_step_and_seed_only(falling_states):
     assert Random(seed=1)(one, dc.PGS())[0][0] != Random(seed=1)(other.replace(contacts=one.contacts), dc.PGS())[0][0]
 
 
-FROM_ROWS = ("scaled", "support", "cnn", "learned support")
+FROM_ROWS = ("scaled", "support", "far field", "far field, no past")
 BUILT = """
 import json, sys
 import numpy as np

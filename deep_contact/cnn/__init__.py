@@ -10,14 +10,29 @@ from typing import TYPE_CHECKING
 
 from deep_contact.io.lazy import attach
 
-# ruff: noqa: F401
 if TYPE_CHECKING:
-    from deep_contact.cnn import architectures, dataset, evaluation, images, inference, model_file, schedules, training
-    from deep_contact.cnn.architectures import build
-    from deep_contact.cnn.dataset import Store, phase, split_by_simulation
-    from deep_contact.cnn.images import CHANNELS, ImageSpec, input_image, label_image, read_back
-    from deep_contact.cnn.inference import LearnedModel, load_model
-    from deep_contact.cnn.training.run import train
-    from deep_contact.io.simulation_h5 import DataFileError, read_simulation, write_simulation
+    from deep_contact.cnn import architectures as architectures
+    from deep_contact.cnn import dataset as dataset
+    from deep_contact.cnn import evaluation as evaluation
+    from deep_contact.cnn import images as images
+    from deep_contact.cnn import inference as inference
+    from deep_contact.cnn import model_file as model_file
+    from deep_contact.cnn import schedules as schedules
+    from deep_contact.cnn import training as training
+    from deep_contact.cnn.architectures import build as build
+    from deep_contact.cnn.dataset import Store as Store
+    from deep_contact.cnn.dataset import phase as phase
+    from deep_contact.cnn.dataset import split_by_simulation as split_by_simulation
+    from deep_contact.cnn.images import CHANNELS as CHANNELS
+    from deep_contact.cnn.images import ImageSpec as ImageSpec
+    from deep_contact.cnn.images import input_image as input_image
+    from deep_contact.cnn.images import label_image as label_image
+    from deep_contact.cnn.images import read_back as read_back
+    from deep_contact.cnn.inference import LearnedModel as LearnedModel
+    from deep_contact.cnn.inference import load_model as load_model
+    from deep_contact.cnn.training.run import train as train
+    from deep_contact.io.simulation_h5 import DataFileError as DataFileError
+    from deep_contact.io.simulation_h5 import read_simulation as read_simulation
+    from deep_contact.io.simulation_h5 import write_simulation as write_simulation
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

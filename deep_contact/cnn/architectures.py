@@ -38,18 +38,21 @@ def thesis(
     *,
     shape: Sequence[int] = (61, 61),
     channels: int = len(CHANNELS),
+    targets: int = len(TARGETS),
     stacks: Sequence[tuple[int, Sequence[int]]] = THESIS_STACKS,
-    dropout: float = 0.1,
+    dropout: float | Sequence[float] = 0.1,
     weight_decay: float = 1e-4,
     rank: int | None = None,
 ) -> keras.Model:
-    """The thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · 2).
+    """The thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · targets).
 
     With the defaults: 64,498,866 trainable parameters. The fully connected last layer holds 61 million of them and ties
     the network to images of one size. Its ReLU excludes negative impulses, and with them half of all friction,
     as in the thesis.
 
-    stacks: filters and sides of the kernels; all but the last are pooled. dropout: after every stack (Table 5.1).
+    targets: maps that it gives; goal 8 of the thesis is one for each impulse.
+    stacks: filters and sides of the kernels; all but the last are pooled. dropout: rate after every stack (Table 5.1),
+    or one rate a stack; Appendix B has dropout after the last stack only.
     weight_decay: of the L2 regulariser; the value is that of the authors' code, the thesis prints none.
     rank: the matrix of the last layer, 244 MB, is a product of two of this rank; None: it is whole, as in the thesis.
     Raises ValueError naming the option and the value.
@@ -58,7 +61,12 @@ def thesis(
         raise ValueError(f"shape: expected (n_y, n_x), two integers >= 1, got {shape!r}")
     n_y, n_x = (integer(f"shape[{i}]", n, 1) for i, n in enumerate(shape))
     integer("channels", channels, 1)
-    number("dropout", dropout, 0, below=1)
+    integer("targets", targets, 1)
+    rates = [dropout] * len(stacks) if isinstance(dropout, (int, float)) else list(dropout)
+    if len(rates) != len(stacks):
+        raise ValueError(f"dropout: expected a rate, or one for each of {len(stacks)} stacks, got {dropout!r}")
+    for rate in rates:
+        number("dropout", rate, 0, below=1)
     number("weight_decay", weight_decay, 0)
     same = {"padding": "same", "activation": "relu", "kernel_initializer": "he_normal"}
     stack = [keras.Input((n_y, n_x, channels), name="bodies")]
@@ -67,7 +75,7 @@ def thesis(
             decay = keras.regularizers.L2(weight_decay)
             name = f"convolution_{stage}_{turn}"
             stack.append(layers.Conv2D(filters, side, kernel_regularizer=decay, name=name, **same))
-        stack.append(layers.Dropout(dropout, name=f"dropout_{stage}"))
+        stack.append(layers.Dropout(rates[stage - 1], name=f"dropout_{stage}"))
         if stage < len(stacks):
             stack.append(layers.MaxPooling2D(2, strides=2, padding="same", name=f"pooling_{stage}"))
             if stage in _NORMALIZED:
@@ -75,7 +83,7 @@ def thesis(
     stack.append(layers.Flatten(name="flatten"))
     if rank is not None:
         stack.append(layers.Dense(integer("rank", rank, 1), use_bias=False, name="impulses_factor"))
-    stack.append(layers.Dense(n_y * n_x * len(TARGETS), activation="relu", name="impulses"))
+    stack.append(layers.Dense(n_y * n_x * targets, activation="relu", name="impulses"))
     return keras.Sequential(stack, name="thesis")
 
 

@@ -30,8 +30,9 @@ def __getattr__(name: str):
                 with _silent():
                     importlib.import_module(name)
             except ModuleNotFoundError as error:
-                needs = "expected the package, which training and networks on images need"
-                raise ModuleNotFoundError(f"{error.name}: {needs}, got none: pip install keras tensorflow") from error
+                needs = "expected the package, which training and networks on images need, got none"
+                ways = 'pip install keras tensorflow; the network "far field" needs neither'
+                raise ModuleNotFoundError(f"{error.name}: {needs}: {ways}") from error
             _apply_limit()
     if name == "keras":
         _expect_tensorflow(sys.modules[name].backend.backend())

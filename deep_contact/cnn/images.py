@@ -8,6 +8,7 @@ contacts is 0 where there are none.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -84,7 +85,7 @@ class ImageSpec(Spec):
 
     def grid(self, world: World) -> Grid:
         """The grid over a world's box."""
-        return Grid.over_box(world.box, self.spacing)
+        return _grid_over(tuple(world.box), self.spacing)
 
     def shape(self, world: World) -> tuple[int, int]:
         """(n_y, n_x) of the images of this world's states."""
@@ -93,6 +94,12 @@ class ImageSpec(Spec):
     def splat(self, world: World, places: np.ndarray, values: np.ndarray) -> np.ndarray:
         """The image of particles at places (k, 2) with values (k, channels), float32."""
         return splat(self.grid(world), places, values, h=self.support, **_REACH).astype(np.float32)
+
+
+@lru_cache(maxsize=16)
+def _grid_over(box: tuple[float, ...], spacing: float) -> Grid:
+    """`Grid.over_box`, whose checks take half of the time of an image, once for each box."""
+    return Grid.over_box(box, spacing)
 
 
 def input_image(state: State, spec: ImageSpec) -> np.ndarray:

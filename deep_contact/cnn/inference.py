@@ -7,12 +7,13 @@ only for networks on images, and for `LearnedModel.network`.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from html import escape
 from pathlib import Path
 from threading import RLock
+from typing import Any, overload
 
 import numpy as np
 
@@ -24,16 +25,20 @@ from deep_contact.cnn.registry import network_file
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import StepProblem
 from deep_contact.state import State
+from deep_contact.state.equality import by_value
+from deep_contact.validation import brief, expect, list_of
 
 _compiling = RLock()
 """Held while a network is built or traced, by one thread for all that wait for it."""
 
 
 def load_model(path=None) -> LearnedModel:
-    """The model of a file, or of a name in `models/registry.json`; by default the shipped model, "model".
+    """The model of a file, or of a name in `models/registry.json`: "model", "far field", "far field, no past".
 
-    No code in the file is run. Raises FileNotFoundError where there is none, `ModelFileError` (a ValueError) where it
-    is damaged, foreign or changed, naming the field.
+    By default "model", the thesis's network, for the thesis's box of 30 m × 30 m. It needs Keras; the far-field
+    networks do not, and take any box. No code in the file is run. Raises FileNotFoundError where there is no file,
+    ModuleNotFoundError where Keras is needed and missing, and `ModelFileError` (a ValueError) where the file is
+    damaged, foreign or changed, naming the field.
     """
     path = network_file(path)
     network, spec, metadata = read_model(path)
@@ -50,7 +55,8 @@ class Card(dict):
         return "\n".join(f"{name}: {text if len(text) <= 100 else f'{text[:99]}…'}" for name, text in texts)
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@by_value
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LearnedModel:
     """A network and what is needed to use it: state in, impulses at its contacts out.
 
@@ -71,6 +77,13 @@ class LearnedModel:
     box: tuple[float, float] | None = None
     path: Path | None = None
     _compiled: dict = field(default_factory=dict, init=False, compare=False)
+
+    def __post_init__(self):
+        is_network = isinstance(self.source, StoredNetwork) or hasattr(self.source, "input_shape")
+        hint = "keras.models.load_model reads a file"
+        expect(is_network, f"source: expected a keras.Model, got {brief(self.source)}; {hint}")
+        is_spec = isinstance(self.spec, (ImageSpec, FarFieldSpec))
+        expect(is_spec, f"spec: expected what its images are made of, such as ImageSpec(), got {brief(self.spec)}")
 
     @cached_property
     def network(self):
@@ -100,14 +113,25 @@ class LearnedModel:
             raise ValueError(f"output: expected shape {(1, *shape)}, got {pixels.shape}")
         return _cut(read(pixels.reshape(shape)), state, project)
 
-    def predict(self, state: State | Sequence[State], *, project: bool = True, problem: StepProblem | None = None):
+    @overload
+    def predict(
+        self, state: State, *, project: bool = True, problem: StepProblem | None = None
+    ) -> tuple[np.ndarray, np.ndarray]: ...
+
+    @overload
+    def predict(
+        self, state: Iterable[State], *, project: bool = True, problem: StepProblem | None = None
+    ) -> list[tuple[np.ndarray, np.ndarray]]: ...
+
+    def predict(self, state, *, project=True, problem=None):
         """(λ_n, λ_t) at the state's contacts, (m,) each, N·s; for several states, a list of such pairs.
 
         project: on λ_n ≥ 0 and |λ_t| ≤ μ λ_n, else as the network has them. problem: of `step_problem(state)`, if it
         is at hand; a far-field network corrects the impulses of its rows. Raises as `input`.
         """
         if not isinstance(state, State):
-            return [self.predict(one, project=project) for one in state]
+            states = list_of("state", State, state)
+            return [self.predict(one, project=project) for one in states]
         if state.contacts is not None and state.contacts.count == 0:
             return np.zeros(0), np.zeros(0)
         image, read = self.seen(state, problem)
@@ -158,7 +182,8 @@ class LearnedModel:
         extent, shape = (x_max - x_min, y_max - y_min), spec.shape(state.world)
         if None not in size and self.box and not np.allclose(extent, self.box, rtol=1e-6, atol=0.0):
             expected = f"a scene of {self.box[0]:g} m × {self.box[1]:g} m, for which the network was trained"
-            raise ModelFileError(f"box: expected {expected}, got {extent[0]:g} m × {extent[1]:g} m")
+            got = f"got {extent[0]:g} m × {extent[1]:g} m"
+            raise ModelFileError(f'box: expected {expected}, {got}; the network "far field" takes any box')
         if None not in size and shape != size:
             raise ModelFileError(f"shape: expected images of {size} nodes, the network's only size, got {shape}")
 
@@ -179,17 +204,17 @@ class LearnedModel:
         return f"<table>{rows}</table>"
 
 
-@dataclass(frozen=True, kw_only=True, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class FarFieldModel(LearnedModel):
     """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds.
 
-    It warns of a state that holds none: `warm_start.LearnedSupport` predicts from positions alone.
+    It warns of a state that holds none: `warm_start.FarFieldNoPast` predicts from positions alone.
     """
 
-    def predict(self, state, *, project=True, problem=None):
+    def predict(self, state, *, project=True, problem=None) -> Any:
         contacts = state.contacts if isinstance(state, State) and problem is None else None
         if contacts is not None and contacts.count and not contacts.have_past:
-            hint = "expected impulses, which this network corrects, got none; warm_start.LearnedSupport needs none"
+            hint = "expected impulses, which this network corrects, got none; warm_start.FarFieldNoPast needs none"
             warnings.warn(f"state.contacts: {hint}", stacklevel=2)
         return super().predict(state, project=project, problem=problem)
 

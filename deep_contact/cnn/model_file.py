@@ -21,6 +21,7 @@ from deep_contact.cnn.far_field import FarFieldSpec
 from deep_contact.cnn.images import ImageSpec
 from deep_contact.io import hdf5
 from deep_contact.io.files import FileError, write_bytes
+from deep_contact.state.equality import by_value
 from deep_contact.validation import expect
 
 FORMAT = 1
@@ -52,6 +53,7 @@ class ModelFileError(FileError):
     """A model file is not what it should be, or does not fit the scene; the message names the field."""
 
 
+@by_value
 class StoredNetwork(NamedTuple):
     """A network as a file holds it. config: Keras's, checked and reduced. weights: layer -> its arrays, float32."""
 

@@ -10,25 +10,39 @@ from pathlib import Path
 
 from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.io.shipped import ROOT
+from deep_contact.validation import brief, expect
 
 FOLDER = "DEEP_CONTACT_MODELS"
 """Environment variable: a folder that is searched before the shipped `models/`."""
+
+RENAMED = {"no_past": "far field, no past", "thesis_factored": "model"}
+"""Name of a network before -> its name now."""
+
+
+OWN = "LearnedModel(source=keras.models.load_model(…), spec=ImageSpec(…)) of deep_contact.cnn takes your own network"
+"""What to do with a network that Keras has made."""
 
 
 def network_file(model=None) -> Path:
     """A model file by its name in the registry (default "model"), or by its path from the current folder or `ROOT`.
 
-    Where "models/x.h5" does not exist, it is the registered "x". Raises FileNotFoundError where there is none, and
-    ModelFileError where the file of a registered name has another SHA-256 than the registry says.
+    Where "models/x.h5" does not exist, it is the registered file "x.h5". Raises FileNotFoundError where there is none,
+    ValueError on a name of an earlier version, and ModelFileError where the file of a registered name has another
+    SHA-256 than the registry says.
     """
-    text, known = "model" if model is None else str(model), registered()
+    is_name = model is None or isinstance(model, (str, os.PathLike))
+    expect(is_name, f"model: expected a name or the path of a file of this package, got {brief(model)}; {OWN}")
+    text, known = "model" if model is None else os.fspath(model), registered()
+    expect(not text.endswith(".keras"), f"model: expected a file of this package, ….h5, got {text}; {OWN}")
     for place in () if text in known else (Path(text), ROOT / text):
         if place.exists() and not place.is_dir():
             return place
-    name = text.removeprefix("models/").removesuffix(".h5")
+    stem = text.removeprefix("models/").removesuffix(".h5")
+    name = {Path(entry["file"]).stem: name for name, entry in known.items()}.get(stem, stem)
     if name not in known:
+        expect(stem not in RENAMED, f"model file: {text} is called {RENAMED.get(stem)!r} now")
         raise FileNotFoundError(
-            f"model file: expected a file or one of {', '.join(known)}, got {text}, which does not exist; "
+            f"model file: expected a file or one of {', '.join(map(repr, known))}, got {text}, which does not exist; "
             "`deep-contact train` makes one"
         )
     entry = known[name]
@@ -37,7 +51,7 @@ def network_file(model=None) -> Path:
         raise FileNotFoundError(
             f"model {name}: expected {entry['file']} in {' or '.join(map(str, _folders()))}, which does not exist; the "
             f"source repository has it as models/{entry['file']}, {FOLDER} names another folder, and "
-            f"`{entry['command']}` trains such a network"
+            f"`{entry['command']}` trained it"
         )
     status = path.stat()
     if (digest := _sha256(path, status.st_mtime_ns, status.st_size)) != entry["sha256"]:

@@ -47,7 +47,8 @@ def _beside(path: str | os.PathLike) -> Iterator[tuple[Path, Path]]:
     try:
         yield target, temporary
     except OSError as error:
-        if error.filename == str(temporary):
+        is_nameless = error.filename is None and error.errno is not None  # as of a full disk
+        if is_nameless or error.filename == str(temporary):
             error.filename, error.filename2 = str(path), None
         raise
     finally:

@@ -46,6 +46,10 @@ def opened(path, error: type[ValueError] = ValueError) -> Iterator[h5py.File]:
             yield file
     except ValueError as fault:
         raise error(f"{path}: {fault}") from None
+    except OSError as fault:
+        if "already open" in str(fault) or "flag values" in str(fault):
+            raise error(f"{path}: expected a closed file, got one that this process has open: close it first") from None
+        raise error(f"{path}: expected an HDF5 file, whole and undamaged: {fault}") from fault
     except Exception as fault:  # h5py raises what it happens to meet: OSError, RuntimeError, KeyError …
         raise error(f"{path}: expected an HDF5 file, whole and undamaged: {fault}") from fault
 

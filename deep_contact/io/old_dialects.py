@@ -87,7 +87,8 @@ def _compact(element, text: str) -> str:
 def _complete_shapes(bodies, contacts: list) -> None:
     """Give circles their radius and the box its corners, of what their shape or the first of their contacts prints.
 
-    A circle that nothing prints has the radius of a solid disc of its inertia; such a box remains without corners.
+    A circle that nothing prints has the radius of a solid disc of its inertia; such a box remains without corners. A
+    body has neither a shape nor an orientation where a file has only what section 5.2.1 lists.
     """
     printed = {}
     for contact in contacts:
@@ -96,7 +97,11 @@ def _complete_shapes(bodies, contacts: list) -> None:
                 text = contact.attrib.pop(f"{role}_shape")
                 printed.setdefault(read_integer(contact, role), (contact, text))
     for body in bodies:
-        shape, is_box = _part(body, "shape"), body.get("type") == "fixed"
+        shape, is_box = body.find("shape"), body.get("type") == "fixed"
+        if shape is None:
+            shape = _add(body, "shape", value="box" if is_box else "circle")
+        if not is_box and body.find("orientation") is None:
+            _add(body, "orientation", theta="0.0")
         if not (len(shape) or "radius" in shape.attrib):
             _complete_shape(body, shape, is_box, printed)
         if not is_box and body.find("inertia") is None:  # as in files of 1 to 14 May 2018: a solid disc's

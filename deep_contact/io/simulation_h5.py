@@ -30,6 +30,7 @@ from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.state import State, StateWithContacts, World
 from deep_contact.state.arrays import Bodies, Contacts
 from deep_contact.state.checks import check_state, contact_faults
+from deep_contact.state.equality import by_value
 from deep_contact.state.scales import ContactScales
 from deep_contact.validation import expect, number, one_of, refuse_where
 
@@ -85,6 +86,7 @@ class DataFileError(FileError):
     """A file of states that cannot be read; names file, field and value."""
 
 
+@by_value
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredSimulation:
     """The states of one simulation, in memory.

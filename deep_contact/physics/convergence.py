@@ -9,9 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.compiled import njit
+from deep_contact.state.equality import by_value
 from deep_contact.validation import expect
 
 
+@by_value
 class ConvergenceRecord(NamedTuple):
     """How one solve went.
 

@@ -69,6 +69,7 @@ from deep_contact.physics.step import (
 from deep_contact.physics.substeps import fly_on, part_by_motion
 from deep_contact.state import State, native, notebook
 from deep_contact.state.arrays import Contacts
+from deep_contact.state.equality import by_value
 from deep_contact.state.scales import ContactScales, mean
 
 
@@ -304,6 +305,7 @@ def build_rows(step, contacts, solver_bodies, drive):
     return rows
 
 
+@by_value
 class ContactSolution(NamedTuple):
     """What a solve of the contact problem found.
 

@@ -38,6 +38,7 @@ from deep_contact.physics.support import supported
 from deep_contact.state import State
 from deep_contact.state.arrays import LARGEST_START
 from deep_contact.state.checks import check_limits, check_state
+from deep_contact.state.equality import by_value
 from deep_contact.validation import expect, floats, integer, number
 
 FIRST_EPSILON = 1e-4
@@ -76,6 +77,7 @@ LONGEST_DRIFT = 1e4
 """How many steps without a pivot one of them may stand for."""
 
 
+@by_value
 class ExactSolution(NamedTuple):
     """What `solve_exactly` found.
 

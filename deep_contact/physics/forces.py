@@ -17,9 +17,14 @@ from deep_contact.physics.ready import has_engine_arrays, ready
 from deep_contact.state import State
 from deep_contact.state.arrays import SIDES, body_name
 from deep_contact.state.checks import check_types
-from deep_contact.validation import integer, number
+from deep_contact.state.equality import by_value
+from deep_contact.validation import expect, integer, number
+
+MOST_CELLS = 10_000_000
+"""Of `mean_stress`."""
 
 
+@by_value
 class Forces(NamedTuple):
     """The forces that the contacts of a state carry.
 
@@ -110,7 +115,11 @@ def mean_stress(state: State, spacing: float) -> np.ndarray:
     """
     x_min, y_min, x_max, y_max = state.world.box
     spacing = number("spacing", spacing, above=0)
-    columns, rows = (max(1, math.ceil((high - low) / spacing)) for low, high in ((x_min, x_max), (y_min, y_max)))
+    sides = (x_max - x_min) / spacing, (y_max - y_min) / spacing
+    expect(
+        sides[0] * sides[1] <= MOST_CELLS, f"spacing: expected at most {MOST_CELLS:,} cells in the box, got {spacing}"
+    )
+    columns, rows = (max(1, math.ceil(side)) for side in sides)
     place = ((state.bodies.position - (x_min, y_min)) / spacing).astype(int)
     mean = np.zeros((rows, columns, 2, 2))
     column, row = np.clip(place, 0, (columns - 1, rows - 1)).T

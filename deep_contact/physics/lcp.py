@@ -14,9 +14,11 @@ from scipy import sparse
 from deep_contact.physics.metrics import free_velocity
 from deep_contact.physics.segments import ground_velocities
 from deep_contact.state import State
+from deep_contact.state.equality import by_value
 from deep_contact.validation import expect, floats, refuse_where
 
 
+@by_value
 class ContactProblem(NamedTuple):
     """Find λ with 0 ≤ λ_n ⟂ (A λ + b)_n ≥ 0, and |λ_t| ≤ μ λ_n against the slip (A λ + b)_t (Eq 2.27, 2.29).
 

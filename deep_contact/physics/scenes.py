@@ -15,12 +15,13 @@ from deep_contact.constants import WALL_SKIN
 from deep_contact.state import State, World
 from deep_contact.state.checks import make_bodies
 from deep_contact.state.scales import mean
-from deep_contact.validation import brief, expect, integer, number, real_numbers
+from deep_contact.validation import brief, expect, integer, number, real_numbers, suggesting
 
 _TRIES = 20_000
 """Draws in a row for one circle before the scene is taken to be full."""
 
 
+@suggesting
 def circles_in_box(
     n_bodies: int = 100,
     *,
@@ -68,6 +69,7 @@ def circles_in_box(
     return State(name=f"circles_{n}", world=World(box=(0, 0, *extent), **world), bodies=bodies)
 
 
+@suggesting
 def lattice_in_box(
     n_bodies: int = 1000,
     *,
@@ -101,6 +103,7 @@ def lattice_in_box(
     return State(name=f"lattice_{n}", world=World(box=box, **world), bodies=bodies)
 
 
+@suggesting
 def column(n_bodies: int = 10, *, radius: float = 1.0, width: float = 30.0, density: float = 1.0, **world) -> State:
     """Circles exactly above one another in the middle of the box, just touching.
 
@@ -116,6 +119,7 @@ def column(n_bodies: int = 10, *, radius: float = 1.0, width: float = 30.0, dens
     return State(name=f"column_{n}", world=World(box=(0, 0, width, 2 * radius * (n + 1)), **world), bodies=bodies)
 
 
+@suggesting
 def hopper(
     n_bodies: int = 400,
     *,
@@ -145,6 +149,7 @@ def hopper(
     return State(name=f"hopper_{n_bodies}", world=world, bodies=bodies)
 
 
+@suggesting
 def terrain(n_bodies: int = 300, *, bumps: int = 24, seed: int | np.random.Generator = 0, **options) -> State:
     """Circles on a jittered lattice above a line of slopes and valleys from wall to wall.
 
@@ -164,6 +169,7 @@ def terrain(n_bodies: int = 300, *, bumps: int = 24, seed: int | np.random.Gener
     return State(name=f"terrain_{n_bodies}", world=world, bodies=bodies)
 
 
+@suggesting
 def drum(n_bodies: int = 300, *, froude: float = 0.05, filling: float = 0.4, sides: int = 60, **options) -> State:
     """Circles in a drum that turns counter-clockwise: a regular polygon of segments whose surface moves.
 
@@ -196,6 +202,7 @@ def drum(n_bodies: int = 300, *, froude: float = 0.05, filling: float = 0.4, sid
     return State(name=f"drum_{n_bodies}", world=world, bodies=bodies)
 
 
+@suggesting
 def barrel(rows: int = 150, *, columns: int = 26, seed: int | np.random.Generator = 0, **options) -> State:
     """Columns of circles side by side in a vessel that leaves them 18 radii on either side: they fall apart.
 
@@ -209,6 +216,7 @@ def barrel(rows: int = 150, *, columns: int = 26, seed: int | np.random.Generato
     return heap.replace(name=f"barrel_{rows}_{columns}", world=world)
 
 
+@suggesting
 def two_bodies(*, speed: float = 2.0, radius: tuple[float, float] = (1.0, 1.0), density: float = 1.0, **world) -> State:
     """Two circles that touch and run into each other without gravity, each at half the closing `speed`, m/s.
 
@@ -220,12 +228,14 @@ def two_bodies(*, speed: float = 2.0, radius: tuple[float, float] = (1.0, 1.0), 
     return State(name="two_bodies", world=World(gravity=(0, 0), **world), bodies=bodies)
 
 
+@suggesting
 def single_body(*, height: float = 0.0, radius: float = 1.0, density: float = 1.0, **world) -> State:
     """One circle in the middle of the thesis's box, `height` m above the floor. `world`: fields of `World`."""
     bodies = make_bodies([[15.0, WALL_SKIN * radius + radius + height]], radius=radius, density=density)
     return State(name="single_body", world=World(**world), bodies=bodies)
 
 
+@suggesting
 def drifting_circles(
     n_bodies: int = 100, *, speed: float = 2.0, seed: int | np.random.Generator = 0, **options
 ) -> State:

@@ -41,6 +41,11 @@ class SleepMemory(NamedTuple):
     force: np.ndarray  # (n, 2): the push of the last step in which a circle was awake (`wake_pushed`), N
     torque: np.ndarray  # (n,): likewise, N·m
 
+    @property
+    def remembered(self) -> tuple[np.ndarray, ...]:
+        """The arrays that a step hands on to the next, which are all but the buffers."""
+        return self.still, self.place, self.clock, self.force, self.torque
+
 
 def make_sleep_memory(n: int, capacity: int) -> SleepMemory:
     """A `SleepMemory` of n circles, all awake, with a buffer for so many contacts."""

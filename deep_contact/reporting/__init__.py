@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 from deep_contact.io.lazy import attach
 
-# ruff: noqa: F401
 if TYPE_CHECKING:
-    from deep_contact.reporting.figures import Figure
-    from deep_contact.reporting.results import Claim
+    from deep_contact.reporting.figures import Figure as Figure
+    from deep_contact.reporting.results import Claim as Claim
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -19,6 +19,7 @@ import re
 import signal
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
@@ -138,7 +139,8 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--out: expected a folder that can be written, got {args.out!r} ({error.strerror})")
     changes, path = dict(args.set), Path(args.out, f"{figure.stem}.json")
     # An exit, so that temporary files and child processes are cleaned up.
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    if threading.current_thread() is threading.main_thread():  # no other may ask for signals
+        signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
         if args.replot:
             _report(figure, _redrawn(figure, path), path)

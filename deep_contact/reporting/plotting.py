@@ -8,9 +8,11 @@ or keeps global state.
 from __future__ import annotations
 
 import io
+import math
 import os
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from itertools import cycle
 from pathlib import Path
 
@@ -36,6 +38,9 @@ CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 COLOUR_MAP = "viridis"
 """Sequential colour map: perceptually uniform, and monotonic in grey."""
 
+WIDEST = 4.0
+"""Width of the line of the largest force, points."""
+
 START_STYLE = {
     name: {"color": colour, "linestyle": line, "label": label}
     for name, colour, line, label in (
@@ -46,9 +51,8 @@ START_STYLE = {
         ("sph spline", SKY, "-", "SPH, spline"),
         ("sph consistent", BLUE, "-", "SPH, consistent"),
         ("copy", GREEN, "-.", "Copy"),
-        ("cnn", PURPLE, "-", "CNN, model.h5"),
-        ("cnn thesis", PURPLE, "--", "CNN, thesis_factored.h5"),
-        ("far field", PURPLE, "-", "CNN, model.h5"),
+        ("cnn", PURPLE, "-", "CNN, the thesis's network"),
+        ("far field", ORANGE, "-", "far field, ours"),
         ("best classical", BLACK, "-", "Best classical"),
     )
 }
@@ -92,7 +96,7 @@ def shades(count: int) -> list[str]:
     return [colors.to_hex(colour) for colour in colormaps["cividis"](np.linspace(0.85, 0.0, count))]
 
 
-def style():
+def style() -> AbstractContextManager[None]:
     """Context manager with the style of all figures, for making and saving them: `with plotting.style(): ...`."""
     from cycler import cycler
     from matplotlib import style as styles
@@ -116,7 +120,7 @@ def styles_of(names: Iterable[str]) -> dict[str, dict]:
     return {name: look or dict(zip(("color", "linestyle"), next(free)), label=name) for name, look in looks.items()}
 
 
-def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords):
+def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords) -> tuple:
     """A figure and its axes (one, or an array as `Figure.subplots` gives it), without pyplot. A notebook shows it.
 
     size: width and height, inches; by default 6 × 4 for one panel, and 4.2 × 3.6 for each of several. The figure is no
@@ -234,6 +238,25 @@ def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
     return total[: state.bodies.count], "sum of normal impulses (N·s)"
 
 
+def top_speed(states: Iterable) -> float:
+    """Speed of the last colour for these states, m/s: that of the fastest circle, and at least √(g r̄).
+
+    r̄: mean radius. A circle reaches √(g r̄) when it falls by half of r̄: what rests is dark, whatever its rounding.
+    """
+    top = 0.0
+    for state in states:
+        radius = float(state.bodies.radius.mean()) if state.bodies.count else 0.0
+        floor = math.sqrt(math.hypot(*state.world.gravity) * radius)
+        top = max(top, floor, float(np.hypot(*np.asarray(state.bodies.velocity).T).max(initial=0.0)))
+    return top
+
+
+def round_down(value: float) -> float:
+    """The largest of 1, 2 or 5 · 10ᵏ that is at most `value`: for the bar of a scale."""
+    decade = 10.0 ** math.floor(math.log10(value))
+    return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= value or step == 1.0)
+
+
 def state_data(state) -> dict:
     """The part of a state that `draw_state` needs, for the data of a results file; `state_of` reads it back."""
     data = {"name": state.name, "time": state.time, "box": state.world.box, "segments": state.world.segments}
@@ -256,13 +279,15 @@ def draw_state(
     contacts: bool = True,
     limits: tuple[float, float] | None = None,
     largest_impulse: float | None = None,
+    bar: bool = True,
 ):
     """Draw a state into `ax`: circles, a tick for each one's orientation, and contact impulses as lines.
 
     A contact's line runs from the centre of one circle to that of the other, or to the wall. Its width is proportional
     to the normal impulse (a contact without impulse is a hairline). limits: of the colours, by default 0 and the
-    largest value. largest_impulse: of the widest line, N·s, by default the largest of this state. Give both to compare
-    several states. Returns the circles' collection, for a colour bar.
+    largest value, for speeds at least √(g r̄) (`top_speed`). largest_impulse: of the widest line, N·s, by default the
+    largest of this state. Give both to compare several states. bar: the colours' bar, at the right of the axes.
+    Returns the circles' collection, for a colour bar of several axes.
     """
     from matplotlib.collections import EllipseCollection, LineCollection
 
@@ -271,7 +296,8 @@ def draw_state(
     circles.set(edgecolor="#333333", facecolor="#CFE6F5", linewidth=0.5)
     if colour_by is not None:
         values, label = body_values(state, colour_by)
-        low, high = limits or (0.0, float(values.max(initial=0.0)))
+        high = top_speed([state]) if colour_by == "speed" else float(values.max(initial=0.0))
+        low, high = limits or (0.0, high)
         circles.set(array=values, clim=(low, high if high > low else low + 1.0), cmap=COLOUR_MAP, label=label)
     scene_axes(ax, state.world.box)
     if state.world.segments:
@@ -299,26 +325,68 @@ def draw_state(
         for colour, more in (("white", 0.8), (VERMILION, 0.0)):
             look = {"colors": colour, "linewidths": width + more, "capstyle": "round"}
             ax.add_collection(LineCollection(contact_lines(state), **look))
+    if bar and colour_by is not None and bodies.count:
+        with style():  # inside of the axes' own list, so that clearing the axes removes it
+            place = ax.inset_axes((1.02, 0.0, 0.03, 1.0))
+            ax.figure.colorbar(circles, cax=place, label=label).outline.set_visible(False)
     return circles
 
 
-def draw_forces(ax, state, *, largest: float | None = None) -> None:
-    """Draw, into the axes of a state, the net force of the contacts on each circle, wall and segment as an arrow.
+def draw_contact_forces(ax, state, *, friction: bool = False, largest: float | None = None, key: bool = True) -> None:
+    """Draw the network of contact forces: a line through each contact that pushes, as wide as its normal force.
 
-    largest: of the longest arrow, a tenth of the box, N; by default the largest of this state. Forces on walls and
-    segments begin at their middles.
+    friction: also a line across each contact, as wide as its friction. largest: force of the widest line, N; by
+    default the largest normal force of this state. key: widths in N, and what each wall and segment gives to the
+    circles: an arrow towards them that ends where it acts, and the number of each wall. For what moment the forces
+    are, see `deep_contact.physics.forces`.
     """
+    from matplotlib.collections import LineCollection
+    from matplotlib.lines import Line2D
+
+    from deep_contact.physics.ready import ready
+
+    state = ready(state, of_step=True)
+    c, radius = state.contacts, state.bodies.radius
+    normal, across = c.normal_impulse / state.dt, np.abs(c.tangent_impulse) / state.dt
+    largest = float(normal.max(initial=0.0)) if largest is None else largest
+    draw_state(ax, state, colour_by=None, contacts=False).set(edgecolor="#BBBBBB", facecolor="#F4F4F4")
+    ax.collections[-1].set_color("#BBBBBB")  # the ticks
+    tangent = (0.4 * radius[c.body_a])[:, None] * np.column_stack([c.normal[:, 1], -c.normal[:, 0]])
+    crossing = np.stack([c.position - tangent, c.position + tangent], axis=1)
+    shown = [(contact_lines(state), normal, VERMILION)] + [(crossing, across, BLUE)] * friction
+    for lines, force, colour in shown:
+        acts = force > 1e-6 * largest
+        widths = WIDEST * np.minimum(force[acts] / (largest or 1.0), 1.0)
+        ax.add_collection(LineCollection(lines[acts], colors=colour, linewidths=widths, capstyle="round", zorder=3))
+    if key:
+        names = _draw_reactions(ax, state)
+        parts = [(f"{share * largest:.3g} N", VERMILION, WIDEST * share) for share in (1.0, 0.5, 0.1) if largest > 0]
+        parts += [("across: friction", BLUE, 0.5 * WIDEST)] * friction
+        look = {"solid_capstyle": "butt"}
+        handles = [Line2D([], [], color=colour, linewidth=width, label=text, **look) for text, colour, width in parts]
+        handles += [Line2D([], [], linewidth=0, marker=r"$\rightarrow$", color=BLACK, label=text) for text in names]
+        place = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.0}
+        ax.legend(handles=handles, title="contact forces", **place)
+
+
+def _draw_reactions(ax, state) -> list[str]:
+    """Arrows of what walls and segments give to the circles, up to a tenth of the box long. Returns walls' totals."""
     from deep_contact.physics.forces import forces
 
-    acting, (x_min, y_min, x_max, y_max) = forces(state), state.world.box
-    x, y = 0.5 * (x_min + x_max), 0.5 * (y_min + y_max)
-    middles = [(x, y_min), (x_max, y), (x, y_max), (x_min, y)]
-    start = np.concatenate([state.bodies.position, middles, np.reshape(state.world.segments, (-1, 2, 2)).mean(axis=1)])
-    force = np.concatenate([acting.net, *([value] for value in acting.walls.values()), acting.segments])
-    longest = np.hypot(*force.T).max() if largest is None else largest
-    arrows = force * (0.1 * max(x_max - x_min, y_max - y_min) / (longest or 1.0))
-    look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004, "zorder": 4}
-    ax.quiver(*start.T, *arrows.T, color=BLUE, **look)
+    acting, c, beyond = forces(state), state.contacts, state.contacts.body_b - state.bodies.count
+    given = -np.concatenate([np.reshape([*acting.walls.values()], (4, 2)), acting.segments])
+    sizes = np.hypot(*given.T)
+    x_min, y_min, x_max, y_max = state.world.box
+    longest = 0.1 * max(x_max - x_min, y_max - y_min)
+    for part in np.flatnonzero(sizes > 1e-6 * sizes.max(initial=0.0)):
+        of_part = beyond == part
+        tip = np.average(c.position[of_part], axis=0, weights=c.normal_impulse[of_part] + 1e-300)
+        tail = tip - longest / sizes.max() * given[part]
+        look = {"arrowstyle": "-|>", "color": BLACK, "shrinkA": 0, "shrinkB": 0}
+        ax.annotate("", xy=tip, xytext=tail, arrowprops=look, annotation_clip=False, zorder=4)
+    ax.set(xlim=(x_min - 1.1 * longest, x_max + 1.1 * longest), ylim=(y_min - 1.1 * longest, y_max + 1.1 * longest))
+    totals = [f"{side}: {size:,.4g} N" for side, size in zip(acting.walls, sizes) if size > 0]
+    return totals + [f"segments: {np.hypot(*given[4:].sum(axis=0)):,.4g} N"] * bool(sizes[4:].any())
 
 
 def draw_stress(ax, state, *, spacing: float):

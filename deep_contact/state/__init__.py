@@ -36,10 +36,12 @@ from deep_contact.state.checks import (
     warn_of_jumps,
 )
 from deep_contact.state.scales import ContactScales, contact_scales
+from deep_contact.validation import suggesting
 
 S, T = TypeVar("S", bound="State"), TypeVar("T")
 
 
+@suggesting
 @dataclass(frozen=True, kw_only=True)
 class World:
     """The box, segments, and the constants that hold for every contact.
@@ -52,7 +54,8 @@ class World:
     segments: any number of ((x, y), (x, y)), m: lines beside the box, felt from both sides and at their ends,
     with the skin of the walls (edge shapes of Box2D). An end that lies on another one or on a wall, to 1e-4 of the
     circle's radius, is not felt: a circle rolls over the joint as over a chain of Box2D, and so it does over a gap of a
-    fiftieth of its radius. Kept as (x_0, y_0, x_1, y_1) each.
+    fiftieth of its radius. Kept as (x_0, y_0, x_1, y_1) each, which is taken as well: np.reshape(segments, (-1, 2, 2))
+    has the points again.
 
     surface_speeds: of the segments, m/s each, towards their second ends: a belt, or the wall of a drum that turns. The
     segment stays where it is, and friction drags what touches it. () where all surfaces rest.
@@ -66,9 +69,9 @@ class World:
     friction: float = constants.FRICTION
     restitution: float = constants.RESTITUTION
     scales: ContactScales | None = None
-    segments: Sequence = ()
-    surface_speeds: Sequence = ()
-    segment_velocities: Sequence = ()
+    segments: Sequence | np.ndarray = ()
+    surface_speeds: Sequence | np.ndarray = ()
+    segment_velocities: Sequence | np.ndarray = ()
 
     def __post_init__(self):
         vars(self).update(checked_world(self))  # past the dataclass, which is frozen
@@ -79,6 +82,7 @@ class World:
         return not any(beyond_limits(world=self, scales=self.scales))
 
 
+@suggesting
 @dataclass(frozen=True, kw_only=True, repr=False)
 class State:
     """A moment of a simulation: the bodies before a step, and the contacts found where they are.
@@ -141,7 +145,7 @@ class State:
             check_kept_contacts(self, changed)
         return changed
 
-    def with_bodies(self, *, add: Bodies | None = None, remove: Sequence = ()) -> State:
+    def with_bodies(self, *, add: Bodies | None = None, remove: Sequence | np.ndarray = ()) -> State:
         """The state without some circles and with others after the rest, ready to go on.
 
         Contacts of the circles that stay keep their impulses; those of the added are found. add: of `make_bodies`.

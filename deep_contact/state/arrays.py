@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.state import notebook
+from deep_contact.state.equality import by_value
 
 BOTTOM, RIGHT, TOP, LEFT = range(4)
 """Numbers of the walls."""
@@ -50,10 +51,7 @@ LARGEST_START = 1e50
 """Largest impulse that a start may hand to the solver, N·s: below what contacts may carry, so that it can be solved."""
 
 
-def _is_equal(self, other) -> bool:
-    return all(map(np.array_equal, self, other)) if isinstance(other, type(self)) else NotImplemented
-
-
+@by_value
 class Bodies(NamedTuple):
     """n circles (solid discs).
 
@@ -77,8 +75,6 @@ class Bodies(NamedTuple):
     mass: np.ndarray
     radius: np.ndarray
 
-    __eq__, __ne__, __hash__ = _is_equal, object.__ne__, None  # type: ignore[assignment]
-
     @property
     def count(self) -> int:
         """Number of circles. (`len` of a NamedTuple is its number of fields.)"""
@@ -100,10 +96,16 @@ class Bodies(NamedTuple):
         """Masses for sums over momentum and energy, (n,), kg: 0 for fixed circles, which belong to the walls."""
         return np.where(self.is_fixed, 0.0, self.mass)
 
+    def table(self) -> dict[str, np.ndarray]:
+        """Columns x, y, v_x, v_y, angle, spin, mass, radius, (n,) each, which `pandas.DataFrame` and polars take."""
+        (x, y), (v_x, v_y) = self.position.T, self.velocity.T
+        return {"x": x, "y": y, "v_x": v_x, "v_y": v_y} | dict(zip(self._fields[2:], self[2:]))
+
     def _repr_html_(self) -> str:
         return notebook.arrays_shown(notebook.counted(self.count, "circle"), self._asdict())
 
 
+@by_value
 class Contacts(NamedTuple):
     """m contacts, sorted by (body_a, body_b).
 
@@ -130,8 +132,6 @@ class Contacts(NamedTuple):
     normal_start: np.ndarray
     tangent_start: np.ndarray
 
-    __eq__, __ne__, __hash__ = _is_equal, object.__ne__, None  # type: ignore[assignment]
-
     @property
     def count(self) -> int:
         """Number of contacts."""
@@ -141,6 +141,15 @@ class Contacts(NamedTuple):
     def have_past(self) -> bool:
         """Whether any of them carries an impulse of a step before: those of positions from elsewhere do not."""
         return bool(self.normal_start.any() or self.tangent_start.any())
+
+    def table(self) -> dict[str, np.ndarray]:
+        """Columns body_a, body_b, x, y, n_x, n_y and the other fields by name, (m,) each; units as above.
+
+        `dc.contact_table(state)` names walls and segments, and has forces.
+        """
+        (x, y), (n_x, n_y) = self.position.T, self.normal.T
+        places = {"x": x, "y": y, "n_x": n_x, "n_y": n_y}
+        return {"body_a": self.body_a, "body_b": self.body_b} | places | dict(zip(self._fields[4:], self[4:]))
 
     def _repr_html_(self) -> str:
         title = f"{notebook.counted(self.count, 'contact')} (dc.contact_table(state) names walls and segments)"

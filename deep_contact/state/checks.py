@@ -23,6 +23,7 @@ from deep_contact.validation import (
     real_numbers,
     refuse_where,
     several,
+    suggesting,
     warn,
 )
 
@@ -33,6 +34,7 @@ UNIT = 1e-4
 """Largest deviation of the length of a normal from 1."""
 
 
+@suggesting
 def make_bodies(
     position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None, fixed=False
 ) -> Bodies:
@@ -73,7 +75,8 @@ def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
 
 def checked_world(world: World) -> dict:
     """The fields of a world as it keeps them. Raises ValueError naming the field and the value."""
-    box, segments = several("box", world.box, 4), _checked_segments(world.segments)
+    segments = _checked_segments(world.segments)
+    box = several("box", world.box, 4, expected="finite numbers, (x_min, y_min, x_max, y_max)")
     fits = box[0] < box[2] and box[1] < box[3]
     expect(fits, f"box: expected (x_min, y_min, x_max, y_max) of positive extent, got {world.box}")
     return {
@@ -175,7 +178,8 @@ def checked_indices(name: str, which, count: int) -> np.ndarray:
     chosen = np.atleast_1d(chosen) if chosen.size else np.zeros(0, np.int64)
     fits = chosen.ndim == 1 and np.issubdtype(chosen.dtype, np.integer)
     fits = fits and ((chosen >= 0) & (chosen < count)).all() and len(np.unique(chosen)) == len(chosen)
-    expect(fits, f"{name}: expected different numbers, 0 to {count - 1}, or {count} flags, got {brief(which)}")
+    expected = f"different numbers, 0 to {count - 1}, or {count} flags" if count else "none, since there are none"
+    expect(fits, f"{name}: expected {expected}, got {brief(which)}")
     return chosen
 
 
@@ -249,8 +253,9 @@ def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
     checked = tuple(map(numbers, segments))
     for index, ends in enumerate(checked):
         fits = len(ends) == 4 and np.isfinite(ends).all()
-        # The squared length is what the engine divides by.
-        if not fits or (ends[2] - ends[0]) ** 2 + (ends[3] - ends[1]) ** 2 == 0.0:
+        along = (ends[2] - ends[0], ends[3] - ends[1]) if fits else (0.0, 0.0)
+        # The squared length is what the engine divides by. It may be infinite: `LIMITS` refuse such a segment.
+        if along[0] * along[0] + along[1] * along[1] == 0.0:
             expected = "two different points, ((x, y), (x, y)), of finite numbers"
             raise ValueError(f"segments[{index}]: expected {expected}, got {brief(segments[index])}")
     return checked

@@ -25,8 +25,8 @@ from deep_contact.warm_start import Sph
 
 # ---- networks ----
 
-NETWORKS = {"cnn": "models/model.h5", "cnn thesis": "models/thesis_factored.h5"}
-"""Model files of Figures 5.9 and 5.10."""
+NETWORKS = {"cnn": "models/model.h5", "far field": "models/far_field.h5"}
+"""Start -> model file of Figures 5.9 and 5.10: the thesis's network, and ours."""
 
 
 def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
@@ -52,7 +52,7 @@ def image_network(path) -> LearnedModel:
     """The network on images of a model file. Raises ValueError where the file has a far-field network."""
     model = load_model(path)
     if isinstance(model, FarFieldModel):
-        expected = f"a network on images, such as {NETWORKS['cnn thesis']}"
+        expected = f"a network on images, such as {NETWORKS['cnn']}"
         raise ValueError(f"model: expected {expected}, got {path}, a far-field network")
     return model
 
@@ -109,5 +109,5 @@ READ_NETWORK = {"": "", ", shared": ", shared (authors' code),"}
 
 
 def label_of(network: Mapping) -> str:
-    """A network of `networks_info` in claims, by its file."""
-    return f"CNN ({Path(network['file']).name})"
+    """A network of `networks_info` in claims: the thesis's or ours, and its file."""
+    return f"{'CNN' if network['architecture'] == 'thesis' else 'far field'} ({Path(network['file']).name})"

@@ -7,6 +7,7 @@ that only the start differs. Independent, as in the thesis: every start drives a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 from deep_contact import constants, sph
 from deep_contact.cnn.backend import one_thread
 from deep_contact.parallel import parallel_map, seeds
+from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import mean_theta
 from deep_contact.physics.ready import ready
 from deep_contact.physics.scenes import circles_in_box
@@ -26,8 +28,9 @@ from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import State, StateWithContacts, World
 from deep_contact.state.checks import make_bodies
 from deep_contact.studies import verdicts
-from deep_contact.validation import number, one_of
-from deep_contact.warm_start import Cnn, Sph, Start, WarmStart, warm_start_of
+from deep_contact.studies.timing import interleaved
+from deep_contact.validation import flag, list_of, number, one_of
+from deep_contact.warm_start import Cnn, Sph, Start, WarmStart, solved_impulses, warm_start_of
 
 THRESHOLD = constants.THETA_TOLERANCE
 """θ at which a solve counts as done where sweeps are counted, N·s."""
@@ -93,20 +96,32 @@ def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> dict[str, np.nd
     return {"theta": mean_theta(thetas, sweeps), "sweeps": np.array([sweeps_to(theta) for theta in thetas])}
 
 
+def _seconds_of(start, state: State, solver) -> tuple[float, float]:
+    """What a start, and a solve from its impulses, take for a state, s: the least of three."""
+    impulse = start(state, solver)
+    both = {"start": lambda: start(state, solver), "solve": lambda: solve_contacts(state, solver=solver, start=impulse)}
+    took = interleaved(both, repeats=3)
+    return took["start"], took["solve"]
+
+
 def paired(
     states: Sequence[StateWithContacts],
     starts: Mapping[str, Any] | Iterable[Start],
     *,
     sweeps: int,
     velocity_sweeps: Sequence[int] = (),
+    seconds: bool = False,
 ) -> dict[str, dict[str, np.ndarray]]:
     """`convergence_of` every start on the same states, each solved with so many sweeps.
 
     starts: name -> start, as `simulate` takes it; or names of starts alone.
     With velocity_sweeps also "velocity": relative velocity errors after so many sweeps, against the solution swept on
-    by `REFERENCE`; a row a state, not finite where nothing was to be solved.
+    by `REFERENCE`; a row a state, not finite where nothing was to be solved. With seconds also "seconds": what the
+    start and the solve of each state took, (states, 2), s, the least of three; nothing else should run meanwhile.
     """
     from deep_contact.cnn.evaluation import velocity_errors
+
+    states = list_of("states", State, states)
 
     solver = PGS(sweeps=sweeps, tolerance=None)
     goals = [swept_on(state) for state in states] if velocity_sweeps else []
@@ -116,6 +131,8 @@ def paired(
         impulses = [start(state, solver) for state in states]
         thetas = [solve_contacts(s, solver=solver, start=impulse).record.theta for s, impulse in zip(states, impulses)]
         by_start[name] = convergence_of(thetas, sweeps)
+        if flag("seconds", seconds):
+            by_start[name]["seconds"] = np.array([_seconds_of(start, s, solver) for s in states])
         if velocity_sweeps:
             errors = [velocity_errors(goal, impulse, velocity_sweeps) for goal, impulse in zip(goals, impulses)]
             by_start[name]["velocity"] = np.array(errors)
@@ -142,13 +159,28 @@ def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> d
     return convergence_of(thetas, sweeps)
 
 
+@dataclass(frozen=True)
+class RoundedCopy:
+    """The solution itself, each impulse rounded to so many significant digits."""
+
+    digits: int
+
+    def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
+        one = lambda impulse: float(f"{impulse:.{self.digits - 1}e}")  # noqa: E731
+        normal, tangent = (np.array([*map(one, impulses)]) for impulses in solved_impulses(state, solver))
+        return projected(normal, tangent, state.world.friction)
+
+
 def start_of(description) -> WarmStart:
     """A start from its description in a figure's options.
 
-    A name, a dict with the fields of `Sph`, or {"model": path} for a network, which runs on one thread.
+    A name, a dict with the fields of `Sph`, {"model": path} for a network, which runs on one thread, or {"digits": k}
+    for a `RoundedCopy`.
     """
     if not isinstance(description, Mapping):
         return warm_start_of(description)
+    if "digits" in description:
+        return RoundedCopy(**description)
     if "model" not in description:
         return Sph(**description)
     one_thread()
@@ -237,38 +269,48 @@ FLOOR = 1e-9
 """Where smaller θ are drawn, N·s."""
 
 
-def draw_comparison(data: dict, title: str, over: str = "builtin", hidden: Sequence[str] = ()):
-    """θ by sweep in runs of their own, without the `hidden` starts, and the ratios of those that are near one start."""
-    figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.6))
-    starts, sweeps = data["independent"], data["sweep"]
-    drawn = [name for name in starts if name not in hidden]
-    for name, look in plotting.styles_of(drawn).items():
-        curves = [starts[name]["theta"], *np.percentile(starts[name]["scenes"]["theta"], (25, 75), axis=0)]
-        plotting.band(left, sweeps, *np.maximum(curves, FLOOR), **look)
+def draw_comparison(data: dict, title: str, over: str | None = "builtin", hidden: Sequence[str] = ()):
+    """θ by sweep in runs of their own, without the `hidden` starts, and the ratios of those that are near one start.
+
+    over: this start; None draws no ratios.
+    """
+    figure, panels = plotting.subplots(1, 2 if over else 1, size=(10.0 if over else 6.0, 4.6), squeeze=False)
+    (left, *right), starts, sweeps = panels[0], data["independent"], data["sweep"]
+    draw_theta(left, data, [name for name in starts if name not in hidden])
     left.axhline(data["threshold"], color=plotting.GREY, linewidth=1, zorder=1, label=f"θ = {data['threshold']:g} N·s")
-    left.set(xscale="log", yscale="log")
-    title_of_left = "mean θ by sweep" + bands(data, "quartiles of the scenes")
-    plotting.label_axes(left, "sweep", "mean convergence rate θ", y_unit="N·s", title=title_of_left)
-    if min(min(starts[name]["theta"]) for name in drawn) < FLOOR:
-        note = f"θ below {FLOOR:.0e}, zero included, is drawn there"
-        left.text(0.01, 0.01, note, transform=left.transAxes, fontsize=8, color="#555555", va="bottom")
+    left.set_title("mean θ by sweep" + bands(data, "quartiles of the scenes"))
     after_ten = int(np.argmin(np.abs(np.asarray(sweeps) - 10)))
-    near = [name for name in starts if verdicts.intervals(starts, name, over)[0, after_ten] > 0.1]
-    draw_ratios(right, data, near, over)
-    right.set_title("ratio" + bands(data))
-    curves = {text: line for ax in (left, right) for line, text in zip(*ax.get_legend_handles_labels())}
-    figure.legend(curves.values(), curves.keys(), loc="outside lower center", ncols=4)
+    for ax in right:
+        near = [name for name in starts if verdicts.intervals(starts, name, over)[0, after_ten] > 0.1]
+        draw_ratios(ax, data, near, over)
+        ax.set_title("ratio" + bands(data))
+    curves = {text: line for ax in panels[0] for line, text in zip(*ax.get_legend_handles_labels())}
+    figure.legend(curves.values(), curves.keys(), loc="outside lower center", ncols=4 if over else 3)
     figure.suptitle(title)
     return figure
 
 
-def bands(data: dict, of: str = "95 % intervals") -> str:
+def bands(data: dict, of: str = "95 %, all sweeps at once") -> str:
     """What a title says of the bands, which one scene does not have."""
     return f"; bands: {of}" if verdicts.scenes_of(data["independent"]) > 1 else ""
 
 
+def draw_theta(ax, data: dict, names: Sequence[str]) -> None:
+    """Mean θ by sweep of some starts, in runs of their own, with the quartiles of the scenes."""
+    styles = plotting.styles_of(list(data["independent"]))
+    for name in names:
+        start = data["independent"][name]
+        curves = [start["theta"], *np.percentile(start["scenes"]["theta"], (25, 75), axis=0)]
+        plotting.band(ax, data["sweep"], *np.maximum(curves, FLOOR), **styles[name])
+    ax.set(xscale="log", yscale="log")
+    plotting.label_axes(ax, "sweep", "mean convergence rate θ", y_unit="N·s")
+    if min(min(data["independent"][name]["theta"]) for name in names) < FLOOR:
+        note = f"θ below {FLOOR:.0e}, zero included, is drawn there"
+        ax.text(0.01, 0.01, note, transform=ax.transAxes, fontsize=8, color="#555555", va="bottom")
+
+
 def draw_ratios(ax, data: dict, names: Sequence[str], over: str) -> None:
-    """θ of some starts over that of one of them, in runs of their own, with the intervals of `verdicts`."""
+    """θ of some starts over that of one of them, in runs of their own, with the bands of `verdicts`."""
     styles = plotting.styles_of(list(data["independent"]))
     for name in names:
         plotting.band(ax, data["sweep"], *verdicts.intervals(data["independent"], name, over), **styles[name])
@@ -284,7 +326,7 @@ def convergence_figure(
     claims: Callable,
     sweeps: int = 3000,
     seed: int = 0,
-    over: str = "builtin",
+    over: str | None = "builtin",
     hidden: Sequence[str] = (),
     modes: Sequence[str] = ("independent",),
 ) -> Figure:
@@ -338,15 +380,17 @@ def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[in
 
     def draw(data, options):
         d, spacings = options["d"], options["spacings"]
-        figure, panels = plotting.subplots(1, 2, size=(10.0, 4.6), sharey=True)
+        figure, panels = plotting.subplots(2, 2, size=(8.3, 8.0), sharex=True, sharey="row")
         sides = [
             (f"a) d = {d:g} m", [grid_of(d, h) for h in options["h"]], grid_of(d, d)),
             ("b) h = d", [*map(grid_of, spacings, spacings), grid_of(0.5, 0.5, "sph spline")], grid_of(0.5, 0.5)),
         ]
-        for ax, (text, names, over) in zip(panels, sides):
-            draw_ratios(ax, data, names, over)
-            ax.set(title=text + bands(data))
-            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
+        for (above, below), (text, names, over) in zip(panels.T, sides):
+            draw_theta(above, data, names)
+            draw_ratios(below, data, names, over)
+            above.set(title=text + bands(data, "quartiles of the scenes"), xlabel="")
+            below.set_title("ratio" + bands(data))
+            below.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
         figure.suptitle(title)
         return figure
 
@@ -447,7 +491,7 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
         limits = 0.0, end(plotting.body_values(state, colour_by)[0] for state in states)
         impulse = end(state.contacts.normal_impulse for state in states)
         for ax, state in zip(panels[0], states):
-            look = {"limits": limits, "largest_impulse": impulse or None}
+            look = {"limits": limits, "largest_impulse": impulse or None, "bar": False}
             circles = plotting.draw_state(ax, state, colour_by=colour_by, **look)
             ax.set_title(f"t = {state.time:.2f} s\n{state.contacts.count} contacts", loc="left")
             ax.label_outer()

@@ -1,8 +1,9 @@
 """Verdicts on claims about starts, by the thesis's own measure: the mean θ after each sweep (Eq 2.30).
 
-A claim says that one start's θ over another's lies within a range. Whether it does is decided at each stored number of
-sweeps, by the interval of the ratio over scenes (`interval`), whose resamplings draw the same scenes for both starts,
-so that what is common to both cancels.
+A claim says that one start's θ over another's lies within a range. It is judged by the ratio at all stored numbers of
+sweeps and its band over scenes (`band`): with 95 % the whole curve lies within the band, so that many sweeps may be
+looked at. The resamplings draw the same scenes for both starts, so that what is common to both cancels. A verdict rests
+on a stretch of sweeps that takes at least `LEAST` of the logarithmic axis (`ranges`).
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ FEWEST = 10
 
 SMALLEST = 1e-15
 """θ below which a solve has come to rest, N·s: the rounding of impulses of some N·s in float64."""
+
+LEAST = 0.1
+"""Part of the logarithmic axis of sweeps from which on a stretch of sweeps is judged."""
 
 SHOWN = (1, 10, 100, 1000)
 """Numbers of sweeps after which `measured` shows a ratio."""
@@ -40,7 +44,7 @@ NAMED = {FASTER: "below 1", MUCH_FASTER: "below 0.5", SLOWER: "above 1", ALIKE: 
 RATIO = "ratio and its interval"
 """What decides a claim on one number, in `measured`: [ratio, low, high]."""
 
-BY_SWEEP = "θ ratio and its interval, by sweep"
+BY_SWEEP = "θ ratio and its band, by sweep"
 """What decides a claim on curves: number of sweeps -> [ratio, low, high]."""
 
 Names = str | Sequence[str]
@@ -52,10 +56,10 @@ def scenes_of(part: Mapping) -> int:
 
 
 def intervals(part: Mapping, first: Names, second: Names, *, of: Callable | None = None) -> np.ndarray:
-    """[ratio, low, high], (3, k): largest mean θ of the first starts over smallest of the second.
+    """[ratio, low, high], (3, k), by `band`: largest mean θ of the first starts over smallest of the second.
 
     part: one mode of `starts.compare_starts`' data. of: taken of each curve before the ratio, (rows, k) -> (rows,),
-    such as `rise`; by default the curve itself.
+    such as `rise`; the result is then (3, 1), by `interval`.
     """
     count = scenes_of(part)
 
@@ -68,38 +72,52 @@ def intervals(part: Mapping, first: Names, second: Names, *, of: Callable | None
             curves.append(theta if of is None else of(theta)[:, None])
         return np.array(curves)
 
-    return interval(lambda drawn: means(first, drawn).max(axis=0) / means(second, drawn).min(axis=0), count)
+    method = band if of is None else interval
+    return method(lambda drawn: means(first, drawn).max(axis=0) / means(second, drawn).min(axis=0), count)
+
+
+def band(ratios: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: int = 2000) -> np.ndarray:
+    """[ratios, low, high], (3, k): positive numbers of scenes, and the band within which all k lie with 95 %.
+
+    ratios: of the scenes that are drawn, (rows, count), one row a resampling -> (rows, k). count: of scenes; one has no
+    band. The bootstrap deviations of the logarithms are divided by their standard deviation at each k, and the largest
+    over all k counts (the single-step max-t of Westfall and Young 1993).
+    """
+    middle = np.log(ratios(np.arange(count)[None])[0])
+    if count == 1:
+        return np.exp([middle] * 3)
+    off = np.log(ratios(np.random.default_rng(0).integers(count, size=(resamples, count)))) - middle
+    spread = off.std(axis=0)
+    largest = np.divide(np.abs(off), spread, out=np.zeros_like(off), where=spread > 0).max(axis=1)
+    reach = np.quantile(largest, 0.95) * spread
+    return np.exp([middle, middle - reach, middle + reach])
 
 
 def ranges(sweeps: Sequence[int], where: np.ndarray) -> str:
-    """The sweeps at which something is so: "1 to 180, 240 to 3000".
+    """The stretches of sweeps at which something is so, "1 to 180, 240 to 3000"; "" for none.
 
-    Beside longer ranges, those beyond ten sweeps that end before 1.25 times their beginning are left out: of many
-    intervals of 95 % some miss by chance.
+    Left out are stretches shorter than `LEAST` of the logarithmic axis from the first to the last of all sweeps.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], where.astype(int), [0]])))
-    pairs = [(sweeps[a], sweeps[b - 1]) for a, b in zip(edges[::2], edges[1::2])]
-    pairs = [(a, b) for a, b in pairs if a <= 10 or b >= 1.25 * a] or pairs
-    return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in pairs)
+    pairs = ((sweeps[a], sweeps[b - 1]) for a, b in zip(edges[::2], edges[1::2]))
+    least = LEAST * np.log(sweeps[-1] / sweeps[0])
+    return ", ".join(f"{a} to {b}" for a, b in pairs if a < b and np.log(b / a) >= least)
 
 
 def verdict(ratios: np.ndarray, within: tuple[float, float], sweeps: Sequence[int] | None = None) -> tuple:
-    """(holds, verdict) of intervals by sweep: "holds, sweeps 1 to 180; does not hold, sweeps 250 to 3000".
+    """(holds, verdict) of a band by sweep: "holds, sweeps 1 to 180; does not hold, sweeps 250 to 3000".
 
-    It holds where the whole interval lies within the range, and does not hold where the whole of it lies outside.
-    holds: true where the claim holds at some sweeps and is refuted at none, false where it is the other way round, None
-    where both occur or every interval reaches across an end of the range. sweeps: None for intervals of one number.
+    It holds where the whole band lies within the range, and does not hold where the whole of it lies outside; `ranges`
+    of such sweeps count. holds: true where the claim holds in some and is refuted in none, false where it is the other
+    way round, None where both occur or neither. sweeps: None for the interval of one number.
     """
     (_, low, high), (least, most) = ratios, within
-    holds, fails = (low > least) & (high < most), (high < least) | (low > most)
-    if not (holds.any() or fails.any()):
-        return None, "within the noise"
-    says = {word: where for word, where in (("holds", holds), ("does not hold", fails)) if where.any()}
+    where = {"holds": (low > least) & (high < most), "does not hold": (high < least) | (low > most)}
     if sweeps is None:
-        text = next(iter(says))
+        says = {word: word for word, so in where.items() if so.all()}
     else:
-        text = "; ".join(f"{word}, sweeps {ranges(sweeps, where)}" for word, where in says.items())
-    return (None if len(says) == 2 else "holds" in says), text
+        says = {word: f"{word}, sweeps {found}" for word, so in where.items() if (found := ranges(sweeps, so))}
+    return (next(iter(says)) == "holds" if len(says) == 1 else None), "; ".join(says.values()) or "within the noise"
 
 
 def judged(

@@ -17,6 +17,7 @@ for ax, froude in zip(axes, (0.01, 0.1, 0.5)):
     x, y = run.trajectory.positions[-40:].mean(axis=(0, 1)) - 0.5 * scene.world.box[2]
     angle = math.degrees(math.atan2(x, -y))
     print(f"Froude number {froude:g}: the heap leans by {angle:.0f}°")
+    run.trajectory.film(f"drum_{froude:g}.html")
     dc.plotting.draw_state(ax, run.state, contacts=False)
     ax.set_title(f"Froude number {froude:g}: {angle:.0f}°")
 dc.plotting.save(figure, "drum.png")

@@ -1,6 +1,6 @@
 """Measure a hopper that feeds a belt.
 
-For users of granular media: a funnel of 40 segments above a belt, with circles of mixed radii. Forces, a film, the
+For users of granular media: a funnel of 40 segments above a belt, with circles of mixed radii. Forces, a page that plays, the
 load on the belt over time, neighbours, circles that are added, a stop, error bars over seeds, a file, and a run that
 goes on from it: what the recipes have, in one program.
 """
@@ -25,7 +25,7 @@ def filled(seed):
 
 
 run = dc.simulate(filled(0), steps=600, record=10, forces=True)
-run.trajectory.film("feed_hopper.gif", every=3, size=400)
+run.trajectory.film("feed_hopper.html")
 load = -run.force_on("segment", 40)[:, 1]  # on the belt, N
 print("touching circle 0:", dc.neighbours(run.state, 0))
 print("pressure on the floor, N/m:", -run.force_on("floor")[-1, 1] / 30.0)

@@ -28,7 +28,8 @@ run = dc.simulate(scene, steps=400, accuracy="fast", record=5)
 print(dc.recommend(scene, accuracy="fast"))
 print(run)
 
-# In a notebook, `run.trajectory` as the last line of a cell plays the film.
+run.trajectory.film("own_scene.html", colour=[jet] * len(run.trajectory))
+# In a notebook, `run.trajectory` as the last line of a cell plays.
 figure, axes = dc.plotting.subplots(1, 3)
 for ax, i in zip(axes, (0, 25, -1)):
     state = run.trajectory[i]

@@ -1,7 +1,7 @@
 """Draw the forces of a packing from the positions of its circles.
 
 For those who have a photograph of discs, or positions from another program: no impulses of a step before are known.
-The start "learned support" reads them off the positions, and some sweeps solve them. Noise of the positions opens
+The start "far field, no past" reads them off the positions, and some sweeps solve them. Noise of the positions opens
 contacts, so radii are enlarged by twice the noise before contacts are looked for. With friction a packing has many
 admissible forces, so even exact positions do not give back those of its history: the last column is the interval that
 is open to the force of the median contact (`dc.force_bounds`, of every 25th), over the mean force.
@@ -29,7 +29,7 @@ for ax, noise in zip(axes, (0.0, 0.1, 1.0)):  # % of a radius
         dc.State(name="photo", world=pile.world, bodies=seen),
         steps=1,
         solver=solver,
-        warm_start="learned support",
+        warm_start="far field, no past",
         on_step=lambda state, record: solved.append(state),
     )
     contacts = solved[-1].contacts

@@ -27,7 +27,7 @@ y = mine(x[None])  # (1, 61, 61, 2)
 normal, tangent = net.impulses(state, y)
 print(f"image {x.shape}, output {tuple(y.shape)}, {normal.size} contacts")
 
-thesis = dc.load_model("thesis_factored")  # a model that is shipped goes the same way
+thesis = dc.load_model()  # the thesis's network, which is shipped, goes the same way
 y = thesis.network(thesis.input(state)[None])
 normal, tangent = thesis.impulses(state, y)
 solved = dc.solve_contacts(state, solver=dc.PGS(), start=(normal, tangent))

@@ -7,7 +7,7 @@ again.
 
 import deep_contact as dc
 from deep_contact.cnn import Store, train, write_simulation
-from deep_contact.cnn.training import far_field_config
+from deep_contact.cnn.training import TrainingConfig
 
 for sim in range(4):
     scene = dc.circles_in_box(n_bodies=25, size=16.0, seed=10 + sim)
@@ -16,7 +16,7 @@ for sim in range(4):
     )
 print(f"{len(Store('.'))} states")
 
-config = far_field_config(
+config = TrainingConfig(
     options={"width": 4},
     fractions=(0.5, 0.25, 0.25),
     epochs=2,

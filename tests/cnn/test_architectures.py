@@ -38,19 +38,33 @@ def test_the_last_layer_may_be_a_product_of_lower_rank(thesis):
     assert np.linalg.matrix_rank(small.layers[-2].kernel @ small.layers[-1].kernel[:, :300]) == 170
 
 
+def test_a_network_may_give_one_map():
+    assert build("thesis", targets=1, stacks=[[2, [3]]]).output_shape == (None, 61 * 61)
+
+
 @pytest.mark.parametrize(
     ("name", "options", "field"),
     [
         ("alexnet", {}, "architecture"),
         ("thesis", {"shape": (61, 0)}, r"shape\[1\]"),
         ("thesis", {"dropout": 1.0}, "dropout"),
+        ("thesis", {"dropout": [0, 0, 0, 0.25]}, "dropout: expected a rate, or one for each of 5 stacks"),
+        ("thesis", {"dropout": [0, 0, 0, 0, 1]}, "dropout: expected"),
         ("thesis", {"rank": 0}, "rank"),
+        ("thesis", {"targets": 0}, "targets"),
         ("far field", {"widht": 8}, "options of far field: expected"),
     ],
 )
 def test_bad_options_are_named(name, options, field):
     with pytest.raises(ValueError, match=field):
         build(name, **options)
+
+
+@pytest.mark.parametrize(("dropout", "rates"), [(0.1, [0.1] * 5), ((0, 0, 0, 0, 0.25), [0, 0, 0, 0, 0.25])])
+def test_dropout_has_one_rate_or_one_for_each_stack(dropout, rates):
+    """Table 5.1, and the authors' code."""
+    network = build("thesis", stacks=[[2, [2]]] * 5, dropout=dropout)
+    assert [layer.rate for layer in network.layers if layer.name.startswith("dropout")] == rates
 
 
 def test_masked_squared_error_is_eq_5_3():
@@ -74,11 +88,20 @@ def test_rates_are_those_of_the_thesis(name, rates):
     assert {epoch: rate(epoch) for epoch in rates} == rates
 
 
+SHARES = {
+    "scaled algorithm 6": {5e-3: 0.1, 2e-3: 0.2, 1e-3: 0.2, 2e-4: 0.5},
+    "scaled appendix b": {0.05: 0.1, 0.02: 0.3, 0.01: 0.6},
+}
+
+
 @pytest.mark.parametrize("epochs", [7, 100, 1000])
-def test_scaled_scheduler_takes_each_rate_for_its_share(epochs):
-    rates = [schedules.SCHEDULES["scaled appendix b"](epochs, 1.0)(epoch) for epoch in range(epochs)]
-    for rate, share in ((0.05, 0.1), (0.02, 0.3), (0.01, 0.6)):
+@pytest.mark.parametrize("name", SHARES)
+def test_scaled_scheduler_takes_each_rate_for_its_share(name, epochs):
+    rates = [schedules.SCHEDULES[name](epochs, 1.0)(epoch) for epoch in range(epochs)]
+    for rate, share in SHARES[name].items():
         assert rates.count(rate) / epochs == pytest.approx(share, abs=1.5 / epochs)  # 101, 300 and 599 of 1,000
+    whole = schedules.SCHEDULES[name.removeprefix("scaled ")](1000, 1.0)
+    assert epochs != 1000 or rates == [whole(epoch) for epoch in range(1000)]
 
 
 def test_cosine_warms_up_falls_and_ends():

@@ -152,7 +152,7 @@ def test_a_model_file_gives_a_start_in_the_cone(tmp_path, state):
 def test_training_resumes_and_beats_builtin_a_little(tmp_path):
     # Ten seconds of training: two epochs at once, and one and one, give the same history.
     from deep_contact.cnn import write_simulation
-    from deep_contact.cnn.training import far_field_config, train
+    from deep_contact.cnn.training import TrainingConfig, train
 
     for sim in range(4):
         states = solved_states(dc.circles_in_box(60, seed=sim), steps=250, solver=dc.PGS(sweeps=2000))
@@ -160,9 +160,9 @@ def test_training_resumes_and_beats_builtin_a_little(tmp_path):
     settings = {"epochs": 2, "states_per_epoch": 320, "schedule": "constant", "fractions": (0.5, 0.25, 0.25)}
     settings |= {"options": {"width": 8}, "validation_states": 60}
     # Of all states for the card the first has no impulses to correct: no reason to warn who trains.
-    through = train(far_field_config(**settings), tmp_path, tmp_path / "a", held_out=1000)
-    train(far_field_config(**settings | {"epochs": 1}), tmp_path, tmp_path / "b", held_out=30)
-    resumed = train(far_field_config(**settings), tmp_path, tmp_path / "b", held_out=30)
+    through = train(TrainingConfig(**settings), tmp_path, tmp_path / "a", held_out=1000)
+    train(TrainingConfig(**settings | {"epochs": 1}), tmp_path, tmp_path / "b", held_out=30)
+    resumed = train(TrainingConfig(**settings), tmp_path, tmp_path / "b", held_out=30)
     losses = [[line["validation_loss"] for line in run.history] for run in (through, resumed)]
     assert losses[0] == losses[1]
     assert losses[0][-1] < 1.0  # Builtin's is 1

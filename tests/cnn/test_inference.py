@@ -87,7 +87,7 @@ def test_file_opens_with_plain_keras(file, network):
 def test_keras_is_imported_on_request_on_the_threads_asked_for_without_a_line_of_its_log(monkeypatch):
     """Nor before: `test_without_keras`."""
     code = "from deep_contact.cnn.backend import limit_threads; limit_threads(1); import deep_contact as dc, sys"
-    code += "; model = dc.load_model(); print('keras' in sys.modules); model.network"
+    code += "; model = dc.load_model('far field'); print('keras' in sys.modules); model.network"
     code += "; from deep_contact.cnn.backend import tensorflow as tf"
     code += "; print(tf.config.threading.get_intra_op_parallelism_threads())"
     monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL", raising=False)
@@ -209,18 +209,18 @@ def test_what_was_changed_or_is_not_stock_is_refused_before_keras_sees_it(file, 
 def test_every_shipped_file_is_registered_under_its_hash():
     models = registry.ROOT / "models"
     assert sorted(map(registry.network_file, registry.registered())) == sorted(models.rglob("*.h5"))
-    assert load_model("no_past").path.samefile(load_model("models/no_past.h5").path)
+    assert load_model("far field, no past").path.samefile(load_model("models/far_field_no_past.h5").path)
 
 
 def test_models_are_found_in_the_folder_that_is_named_and_in_the_current_one(tmp_path, monkeypatch):
     (tmp_path / "models").mkdir()
-    copy = shutil.copy(registry.network_file("no_past"), tmp_path / "models")
+    copy = shutil.copy(registry.network_file("far field, no past"), tmp_path / "models")
     monkeypatch.setenv("DEEP_CONTACT_MODELS", str(tmp_path / "models"))
-    assert str(registry.network_file("no_past")) == copy
+    assert str(registry.network_file("far field, no past")) == copy
     assert registry.network_file("model") == registry.ROOT / "models" / "model.h5"
     shutil.copy(registry.network_file("model"), copy)
-    with pytest.raises(ModelFileError, match=r"no_past\.h5: sha256: expected"):
-        load_model("no_past")
+    with pytest.raises(ModelFileError, match=r"far_field_no_past\.h5: sha256: expected"):
+        load_model("far field, no past")
     monkeypatch.delenv("DEEP_CONTACT_MODELS")
     for name in ("model.h5", "registry.json"):
         shutil.copy(registry.ROOT / "models" / name, tmp_path / "models")
@@ -234,10 +234,17 @@ def test_a_model_that_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "ROOT", tmp_path)
     monkeypatch.setattr(registry, "registered", lambda: known)
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(FileNotFoundError, match="no_past: expected"):
-        load_model("no_past")
-    with pytest.raises(FileNotFoundError, match=r"or one of .*no_past.*got magic\.h5"):
+    with pytest.raises(FileNotFoundError, match="model far field, no past: expected"):
+        load_model("far field, no past")
+    with pytest.raises(FileNotFoundError, match=r"or one of .*'far field, no past'.*got magic\.h5"):
         load_model("magic.h5")
+
+
+@pytest.mark.parametrize("name", ["no_past", "no_past.h5", "models/thesis_factored.h5", "thesis_factored"])
+def test_a_name_of_before_names_that_of_today(name):
+    now = "'model'" if "thesis" in name else "'far field, no past'"
+    with pytest.raises(ValueError, match=f"model file: {name} is called {now} now"):
+        load_model(name)
 
 
 # ---- the scene ----
@@ -256,7 +263,7 @@ def small_state(size=(6.0, 4.0)):
 
 @pytest.mark.parametrize("size", [(4.0, 6.0), (5.9, 4.0)])
 def test_network_of_fixed_size_refuses_another_box(fixed, size):
-    with pytest.raises(ModelFileError, match="box: expected"):
+    with pytest.raises(ModelFileError, match=r'box: expected .* the network "far field" takes any box'):
         fixed.predict(small_state(size))
 
 
@@ -275,10 +282,10 @@ def test_convolutional_network_runs_in_any_box(network, size):
 def test_a_policy_of_keras_changes_no_prediction(policy, falling_states):
     """Under mixed_float16 the thesis's network was off by 6e-4."""
     state, before = falling_states[5], keras.config.dtype_policy()
-    expected = load_model("thesis_factored").predict(state)
+    expected = load_model().predict(state)
     try:
         keras.config.set_dtype_policy(policy)
-        found = load_model("thesis_factored").predict(state)
+        found = load_model().predict(state)
     finally:
         keras.config.set_dtype_policy(before)
     np.testing.assert_array_equal(found, expected)
@@ -295,13 +302,13 @@ SPOILT = {
 
 @pytest.mark.filterwarnings("ignore:invalid value")
 @pytest.mark.parametrize("field", SPOILT)
-@pytest.mark.parametrize("name", ["model", "thesis_factored"])
+@pytest.mark.parametrize("name", ["far field", "model"])
 def test_a_state_that_does_not_hold_together_is_not_predicted(name, field, falling_states):
     with pytest.raises(ValueError, match=field):
         load_model(name).predict(SPOILT[field](falling_states[5]))
 
 
-@pytest.mark.parametrize("name", ["thesis_factored", "model"])
+@pytest.mark.parametrize("name", ["model", "far field"])
 def test_plain_keras_between_input_and_impulses_gives_the_prediction(name, falling_states):
     net, state = load_model(name), falling_states[5]
     y = net.network(net.input(state)[None], training=False)
@@ -346,14 +353,14 @@ def test_cnn_start_is_the_prediction_projected(file, falling_states):
     assert (normal > 0).any()
 
 
-@pytest.mark.parametrize("name", ["thesis_factored", "model"])
+@pytest.mark.parametrize("name", ["model", "far field"])
 def test_without_contacts_the_prediction_is_empty(name):
     state, model = dc.simulate(dc.circles_in_box(2, seed=0), steps=0).state, load_model(name)
     assert [part.shape for part in model.predict(state)] == [(0,), (0,)]
     assert [part.shape for part in Cnn(model)(state, None)] == [(0,), (0,)]
 
 
-@pytest.mark.parametrize("name", ["thesis_factored", "model"])
+@pytest.mark.parametrize("name", ["model", "far field"])
 def test_several_states_and_foreign_byte_orders(name, falling_states):
     model, states = load_model(name), falling_states[4:6]
     expected = [model.predict(state) for state in states]
@@ -363,18 +370,25 @@ def test_several_states_and_foreign_byte_orders(name, falling_states):
         for name, part in (("bodies", states[0].bodies), ("contacts", states[0].contacts))
     }
     np.testing.assert_array_equal(model.predict(states[0].replace(**swapped)), expected[0])
-    sides = (9, 9) if name == "model" else (61, 61)
+    sides = (61, 61) if name == "model" else (9, 9)
     image = np.random.default_rng(0).normal(size=(*sides, len(model.spec.channels)))
     expected = model.run(image.astype(np.float32))
     np.testing.assert_array_equal(model.run(np.asfortranarray(image.astype(">f8"))), expected)
 
 
 def test_a_model_says_what_it_is_takes_and_gives():
-    text = repr(load_model())
-    for part in ("model.h5", "far field", "115,420", "29 channels", "8 k + 1", "12 coefficients at every second node"):
+    text = repr(load_model("far field"))
+    for part in (
+        "far_field.h5",
+        "far field",
+        "115,420",
+        "29 channels",
+        "8 k + 1",
+        "12 coefficients at every second node",
+    ):
         assert part in text
     assert "any number of nodes a side" in inference.ends(ImageSpec())["takes"]
-    text = load_model("thesis_factored")._repr_html_()
+    text = load_model()._repr_html_()
     assert "30 m × 30 m" in text
     assert "<td>images of normal_impulse, tangent_impulse</td>" in text
 
@@ -429,7 +443,7 @@ def test_a_start_by_name_reads_the_model_again_only_if_the_file_changes(tmp_path
 
 @pytest.mark.parametrize("shape", [(16, 9), (9, 16), (9, 9, -1), (9, 9, 0, 1)])
 def test_a_far_field_network_names_the_sides_that_it_takes(shape):
-    model = dc.load_model()
+    model = dc.load_model("far field")
     channels = len(model.spec.channels)
     assert model._output_shape((17, 9, channels)) == (9, 5, len(model.spec.targets))
     shape = (*shape[:2], channels + sum(shape[2:3]), *shape[3:])

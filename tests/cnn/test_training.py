@@ -17,7 +17,7 @@ from deep_contact.cnn.dataset import Split, Store
 from deep_contact.cnn.images import ImageSpec, input_image, label_image
 from deep_contact.cnn.inference import load_model
 from deep_contact.cnn.model_file import read_metadata, spec_of
-from deep_contact.cnn.training import TrainingConfig, config, thesis_config, train
+from deep_contact.cnn.training import TrainingConfig, config, recipe, train
 from deep_contact.cnn.training.curve import learning_curve, read_history
 from deep_contact.cnn.training.network import ImageRun
 from deep_contact.io.simulation_h5 import write_simulation
@@ -25,7 +25,7 @@ from deep_contact.io.simulation_h5 import write_simulation
 # Before TensorFlow does anything: sums go in another order on more threads.
 limit_threads(1)
 
-TINY = {"stacks": [[4, [3, 2]], [8, [2]], [8, [2]]], "weight_decay": 0.0}
+TINY = {"stacks": [[4, [3, 2]], [8, [2]], [8, [2]]], "weight_decay": 0.0, "rank": None}
 TRAIN = Path(__file__).parents[2] / "scripts" / "train.py"
 
 
@@ -42,7 +42,7 @@ def data(tmp_path_factory):
 
 def tiny(**changes):
     settings = {"options": TINY, "epochs": 4, "batch_size": 8, "fractions": (0.6, 0.2, 0.2), "rate": 0.01}
-    return thesis_config(**(settings | {"optimizer": "adam", "schedule": "cosine"} | changes))
+    return recipe("thesis", **(settings | {"optimizer": "adam", "schedule": "cosine"} | changes))
 
 
 def quietly(config, data, out, **options):
@@ -272,5 +272,11 @@ def test_a_script_goes_on_from_a_model(undisturbed):
     assert (settings.epochs, settings.rate, settings.options) == (2, 0.01, {"dropout": 0.2})
     quick = script.configuration({"epochs": 2}, None, quick=True)
     assert (quick.epochs, quick.options, quick.states_per_epoch) == (2, {"width": 8}, 960)
-    thesis = script.configuration({"architecture": "thesis"}, None, quick=True)
-    assert (thesis.optimizer, thesis.schedule, thesis.options["dropout"]) == ("nesterov", "scaled appendix b", 0.1)
+    with pytest.raises(ValueError, match="architecture: expected a recipe of the thesis's"):
+        script.configuration({"architecture": "thesis"}, None)
+    with pytest.raises(ValueError, match="recipe: expected none beside --from"):
+        script.configuration({"recipe": "thesis"}, undisturbed.path)
+    ranked = script.configuration({"recipe": "authors' code", "options": [("rank", 9)]}, None)
+    assert ranked.options == {"dropout": [0, 0, 0, 0, 0.25], "weight_decay": 1e-4, "rank": 9}
+    thesis = script.configuration({"recipe": "thesis"}, None, quick=True)
+    assert (thesis.optimizer, thesis.schedule, thesis.options["dropout"]) == ("sgd", "scaled algorithm 6", 0.1)

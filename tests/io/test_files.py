@@ -1,10 +1,12 @@
 """Files are written in one move, where they were meant, by whoever writes at the same time."""
 
+import errno
 import gzip
 import os
 import signal
 from concurrent.futures import ThreadPoolExecutor
 
+import h5py
 import pytest
 
 import deep_contact as dc
@@ -53,6 +55,33 @@ def test_what_takes_no_file_is_an_error_that_names_it(write, name, tmp_path):
         write(tmp_path / name)
     assert sorted(os.listdir(tmp_path)) == ["file", "folder", "pipe"]
     assert (tmp_path / "pipe").is_fifo()
+
+
+def test_an_error_without_a_name_gets_that_of_the_file(tmp_path):
+    """As of a full disk: [Errno 27] File too large."""
+    with pytest.raises(OSError, match=r"File too large: '.*run\.h5'"), files.replacing(tmp_path / "run.h5"):
+        raise OSError(errno.EFBIG, "File too large")
+    with pytest.raises(OSError, match=r"^no number$"), files.replacing(tmp_path / "run.h5"):
+        raise OSError("no number")
+
+
+def test_a_file_that_this_process_has_open_is_named_so(tmp_path):
+    path = tmp_path / "run.h5"
+    dc.simulate(dc.column(2), steps=1, record=1).trajectory.save(path)
+    with h5py.File(path, "a"), pytest.raises(ValueError, match=r"run\.h5: expected a closed file, .*close it first"):
+        dc.load_trajectory(path)
+    assert len(dc.load_trajectory(path)) == 2
+
+
+def test_a_segment_too_far_away_is_read_and_refused_by_the_engine(tmp_path):
+    state = dc.column(2).replace(world=dc.World(segments=[((0, 20), (1, 25.0))]))
+    dc.write_state(tmp_path / "far.xml", state)
+    text = (tmp_path / "far.xml").read_text(encoding="utf-8")
+    (tmp_path / "far.xml").write_text(text.replace('x_0="0.0"', 'x_0="1e300"'), encoding="utf-8")
+    far = dc.read_state(tmp_path / "far.xml")
+    assert far.world.segments[0][0] == 1e300
+    with pytest.raises(ValueError, match=r"world.segments\[0, 0\]: expected -1e\+12 to 1e\+12 m, got 1e\+300"):
+        dc.simulate(far, steps=1)
 
 
 def test_a_check_leaves_what_is_there(tmp_path):

@@ -139,7 +139,7 @@ def simulation(tmp_path_factory):
 @pytest.mark.parametrize(("read", "error"), [(read_simulation, DataFileError), (read_metadata, ModelFileError)])
 def test_what_is_cut_off_foreign_or_no_file_is_refused_by_name(simulation, read, error, tmp_path):
     path, pipe = tmp_path / "a.h5", tmp_path / "pipe.h5"
-    whole = simulation if read is read_simulation else network_file("no_past").read_bytes()
+    whole = simulation if read is read_simulation else network_file("far field, no past").read_bytes()
     cut_off = [whole[: int(share * len(whole))] for share in (0.001, 0.1, 0.5, 0.9, 0.999)]
     for data in (b"", b"<configuration/>", b"\x89HDF\r\n\x1a\n" + bytes(200), *cut_off, whole[:-1]):
         path.write_bytes(data)

@@ -23,6 +23,29 @@ def test_provenance_holds_seed_time_and_versions_and_names_no_place():
     assert platform.node() not in text.split('"')
 
 
+@pytest.mark.parametrize(
+    ("of_python", "machine", "of_linux", "expected"),
+    [
+        ("any86", "m", None, "any86"),
+        ("", "m", None, "m"),
+        ("", "", None, "unknown"),
+        ("any86", "m", "x\nmodel name\t: A CPU\nflags: y\nmodel name: B", "A CPU"),
+        ("", "m", "no names", "m"),
+    ],
+)
+def test_a_processor_has_the_name_that_the_system_knows(of_python, machine, of_linux, expected, monkeypatch):
+    def read(path, **_):
+        if of_linux is None:
+            raise OSError
+        return of_linux
+
+    monkeypatch.setattr(platform, "processor", lambda: of_python)
+    monkeypatch.setattr(platform, "machine", lambda: machine)
+    monkeypatch.setattr(provenance.Path, "read_text", read)
+    monkeypatch.setattr(provenance.os, "cpu_count", lambda: 3)
+    assert provenance.processor() == f"{expected}, 3 cores"
+
+
 def test_without_git_there_is_no_commit(monkeypatch):
     monkeypatch.setenv("PATH", "")
     assert provenance.commit() == "unknown"

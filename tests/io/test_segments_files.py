@@ -96,10 +96,56 @@ def test_pictures_show_segments(run):
     plotting.body_values(run.state, "impulse")
 
 
-@pytest.mark.parametrize("start", ["copy", "scaled", "sph", "cnn"])
+@pytest.mark.parametrize("start", ["copy", "scaled", "sph", "far field"])
 def test_starts_take_contacts_with_segments_as_with_walls(run, start):
-    if start == "cnn":
-        pytest.importorskip("tensorflow")
     solution = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=30_000, tolerance=1e-10), start=start)
     plain = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=30_000, tolerance=1e-10))
     np.testing.assert_allclose(solution.velocities, plain.velocities, atol=1e-4)
+
+
+def test_a_file_is_packed_quickly_and_has_no_more_than_its_states(run, tmp_path):
+    run.trajectory.save(tmp_path / "run.h5")
+    with h5py.File(tmp_path / "run.h5") as file:
+        for name, array in run.trajectory.stored.arrays.items():
+            assert (file[name].shape, file[name].compression, file[name].compression_opts) == (array.shape, "gzip", 1)
+            assert file[name].shuffle
+            assert file[name].chunks[1:] == array.shape[1:]
+    for compression in ("lzf", None):
+        write_simulation(tmp_path / "other.h5", list(run.trajectory), compression=compression)
+        with h5py.File(tmp_path / "other.h5") as file:
+            assert file["position"].compression == compression
+        assert list(dc.load_trajectory(tmp_path / "other.h5")) == list(run.trajectory)
+
+
+def test_comments_and_line_breaks_say_nothing(run):
+    text = format_state(run.state).decode()
+    spread = text.replace("<contact ", "<!-- a comment --><contact\n").replace("<body ", "<?pi any?><!-- 1 --><body\n")
+    assert spread.count("<!--") > 60
+    assert parse_state(spread.encode(), "comments.xml") == run.state
+
+
+def test_what_moves_turns_and_is_fixed_survives_both_kinds_of_files(tmp_path):
+    """Also what else a world may have, and what only some segments have."""
+    segments = [((0.0, 5.0), (9.0, 5.0)), ((0.0, 7.0), (9.0, 7.0)), ((0.0, 9.0), (9.0, 9.5))]
+    world = dc.World(
+        box=(-3.0, -1.0, 12.0, 14.0), gravity=(0.5, -3.0), friction=0.3, restitution=0.4, scales=dc.BOX2D,
+        segments=segments, surface_speeds=(0.0, -2.0, 0.0),
+        segment_velocities=[((0.0, 0.0), (0.0, 0.0)), ((1.0, 0.0), (0.0, -0.25)), ((0.0, 0.0), (0.0, 1e-3))],
+    )  # fmt: skip
+    bodies = dc.make_bodies(
+        [[2.0, 5.4], [5.0, 7.4], [7.0, 3.0]], radius=[0.4, 0.5, 0.3], fixed=[False, False, True], spin=[0.0, 0.0, 2.0]
+    )
+    scene = dc.State(name="all of it", world=world, bodies=bodies, dt=0.004, time=1.0, step=3)
+    moved = dc.simulate(scene, steps=8, solver=dc.PGS(sweeps=9, substeps=2), record=2)
+    dc.write_state(tmp_path / "all.xml", moved.state)
+    again = dc.read_state(tmp_path / "all.xml")
+    assert again == moved.state
+    assert again.world == moved.state.world
+    assert again.world.segments != world.segments
+    assert (again.bodies.is_fixed == [False, False, True]).all()
+    moved.trajectory.save(tmp_path / "all.h5")
+    stored = dc.load_trajectory(tmp_path / "all.h5")
+    assert list(stored) == list(moved.trajectory)
+    np.testing.assert_array_equal(stored.work, moved.trajectory.work)
+    np.testing.assert_array_equal(stored.dissipated, moved.trajectory.dissipated)
+    assert stored[2].world.segments == moved.trajectory[2].world.segments != world.segments

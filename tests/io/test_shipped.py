@@ -41,6 +41,9 @@ def test_json_keeps_bits_puts_one_object_a_line_and_holds_finite_numbers(tmp_pat
     assert json.loads(text) == value
     assert '"a": [0.1,1e-300],\n' in text
     assert '"θ"' in text
+    assert text.splitlines()[3:5] == ["    {", '      "b": null']
+    assert write_json(tmp_path / "c.json", [1, [2, 3], "x"]).read_text() == '[1,[2,3],"x"]\n'
+    assert write_json(tmp_path / "d.json", [{"a": 1}]).read_text() == '[\n  {\n    "a": 1\n  }\n]\n'
     with pytest.raises(ValueError, match="not JSON compliant"):
         write_json(tmp_path / "b.json", {"a": float("nan")})
     assert not (tmp_path / "b.json").exists()

@@ -192,6 +192,18 @@ def test_old_files_without_inertia_are_of_solid_discs():
     assert bits(parse_state(text.encode(), OLD_A.name)) == bits(read_state(OLD_A))
 
 
+def test_a_body_needs_no_more_than_section_5_2_1_lists():
+    """Mass, position, velocity, spin and inertia: the radius is sqrt(2 I / m), the angle 0."""
+    body = (
+        '<body index="0" type="free"><mass value="2.0"/><position x="5.0" y="6.0"/><velocity x="1.0" y="0.5"/>'
+        '<spin omega="0.25"/><inertia value="2.25"/></body>'
+    )
+    state = parse_state(f'<configuration name="a" time="0"><bodies>{body}</bodies></configuration>'.encode(), "1.xml")
+    assert state.bodies.radius == pytest.approx([1.5])
+    assert (state.bodies.mass[0], state.bodies.spin[0], state.bodies.angle[0]) == (2.0, 0.25, 0.0)
+    assert state.world.box == (0, 0, 30, 30)
+
+
 def test_dialect_b_prints_normals_and_shapes():
     state = read_state(OLD_B)
     assert (state.step, state.dt, state.solved) == (7, constants.TIME_STEP, True)
@@ -239,6 +251,37 @@ def test_old_box_is_placed_by_its_body():
         assert parse_state(text.replace(loop, shape).encode(), "old.xml").world.box == (-15, 2, 15, 32)
 
 
+@pytest.mark.parametrize("shift", [(-15.0, 2.0), (3.0, -7.0)])
+def test_separations_of_old_files_are_from_the_box_where_it_is(shift):
+    """All is moved by the same way, so that no gap changes."""
+
+    def moved(match):
+        x, y = (float(match[k]) + by for k, by in zip((1, 2), shift))
+        return f'<position x="{x!r}" y="{y!r}"/>'
+
+    text = re.sub(r'<position x="([^"]*)" y="([^"]*)"/>', moved, OLD_A.read_text())
+    state, plain = parse_state(text.encode(), "old.xml"), read_state(OLD_A)
+    np.testing.assert_allclose(state.contacts.separation, plain.contacts.separation, atol=1e-12)
+    np.testing.assert_allclose(state.bodies.position, plain.bodies.position + shift)
+
+
+def test_separations_of_old_files_are_from_every_wall():
+    bodies, box = make_bodies([[1.0, 2.0]], radius=0.25), (0.5, 1.0, 9.0, 12.0)
+    found = state_xml._separations(np.zeros(4, int), 1 + np.arange(4), bodies, box)
+    np.testing.assert_allclose(found, np.array([1.0, 8.0, 10.0, 0.5]) - 0.25 - constants.WALL_SKIN * 0.25)
+
+
+@pytest.mark.parametrize("indices", [(0, 1, 3), (1, 0, 3), (0, 2, 4), (0, 3, 2)])
+def test_a_gap_in_the_indices_of_circles_is_the_boxs_alone(indices):
+    """The first circle, the box and the second circle get these indices."""
+    first, box, second = indices
+    order = {"0": box, "1": first, "2": second}
+    change = lambda match: f'{match[1]}="{order[match[2]]}"'  # noqa: E731
+    text = re.sub(r'(body index|master|slave)="(\d)"', change, OLD_A.read_text())
+    with pytest.raises(StateFileError, match="index: expected no gap"):
+        parse_state(text.encode(), "old.xml")
+
+
 # Files that are refused. (which file, what to replace, by what, the element and words of the message)
 
 BAD = [
@@ -260,7 +303,7 @@ BAD = [
     ("ours", '<mass value="0.0"', '<mass values="1" value="0.0"', "<mass> of body '.': values: no such attribute"),
     ("ours", "<corner ", '<corner z="0" ', "<corner>: z: no such attribute, expected x, y, got '0'"),
     ("a", "<mass ", '<mass colour="red" ', "<mass> of body '.': colour: no such attribute"),
-    ("ours", ' sweeps="', ' sweep="', "<solver>.*unexpected keyword argument 'sweep'"),
+    ("ours", ' sweeps="', ' sweep="', "<solver>.*option of PGS: expected one of .*, got .*sweep.*; did you mean"),
     ("ours", ' sweeps="3000"', ' sweeps="-3"', "<solver>.*sweeps: .*-3"),
     ("ours", ' slop="0.005"', "", "<scales>.*slop: .*missing"),
     ("ours", 'type="free"', 'type="flying"', "<body> '0'.*type: .*'flying'"),

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.physics.solvers import METHODS
@@ -267,3 +268,90 @@ def test_newtons_cradle_hands_its_speed_on(gap):
     state = scene(np.column_stack([x, np.full(5, 20.0)]), [[5.0, 0.0]] + [[0.0, 0.0]] * 4, world=ELASTIC)
     state = dc.simulate(state, steps=150, solver=dc.PGS(sweeps=1000, tolerance=None)).state
     np.testing.assert_allclose(state.bodies.velocity[:, 0], [0, 0, 0, 0, 5], atol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [120.0, 900.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_every_pair_that_flies_at_each_other_meets_wherever_it_is(seed, speed):
+    """Forty pairs, in all directions and at all distances; each is ordered along its line as before the step."""
+    rng, dt = np.random.default_rng(seed), 0.01
+    cells = rng.permutation(64)[:40]
+    middle = 30.0 * np.column_stack([cells // 8, cells % 8]) + rng.uniform(-4.0, 4.0, (40, 2)) + 30.0
+    angle, radius = rng.uniform(0.0, 2.0 * np.pi, 40), rng.uniform(0.05, 1.0, (40, 2))
+    along, share = np.column_stack([np.cos(angle), np.sin(angle)]), rng.uniform(0.0, 1.0, 40)
+    gap = rng.uniform(0.1, 0.9, 40) * speed * dt
+    apart = (radius.sum(axis=1) + gap)[:, None] * along
+    velocity = np.concatenate([(share * speed)[:, None] * along, -((1.0 - share) * speed)[:, None] * along])
+    state = circles_at(
+        np.concatenate([middle - 0.5 * apart, middle + 0.5 * apart]), radius=radius.T.ravel(), velocity=velocity,
+        gravity=(0.0, 0.0), friction=0.0, restitution=1.0, box=(0.0, 0.0, 300.0, 300.0), dt=dt,
+    )  # fmt: skip
+    after = dc.simulate(state, steps=2, solver=dc.PGS(), record=1).trajectory.positions[1:]
+    for position in after:
+        distance = np.einsum("ij,ij->i", position[40:] - position[:40], along)
+        assert (distance > 0.9 * radius.sum(axis=1)).all()
+
+
+@pytest.mark.parametrize("overlap", [0.3, 1.2])
+@pytest.mark.parametrize("angle", [0.0, 2.0])
+def test_what_is_deep_in_another_and_fast_does_not_pass_it(overlap, angle):
+    """Nor the wall in which it begins."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+    centres = np.add([30.0, 20.0], np.outer([0.0, 2.0 - overlap], along))
+    run = dc.simulate(scene(centres, np.outer([150.0, -100.0], along)), steps=6, solver=dc.PGS(), record=1).trajectory
+    assert (np.einsum("tj,j->t", run.positions[:, 1] - run.positions[:, 0], along) > 0.0).all()
+    beside = scene([[1.0 - 0.5 * overlap, 20.0]], [[-150.0, 0.0]])
+    assert (dc.simulate(beside, steps=6, solver=dc.PGS(), record=1).trajectory.positions[..., 0] > 0.0).all()
+
+
+def test_velocities_of_a_solution_are_of_discs_of_any_radius():
+    """I ω = r P_t: of a disc of 0.25 m that is thrown along the floor."""
+    state = dc.find_contacts(scene([[20.0, 0.25]], [[3.0, -1.0]], radius=0.25, world=replace(NO_GRAVITY, friction=0.5)))
+    solution = dc.solve_contacts(state, solver=dc.PGS())
+    p_n, p_t, (mass,), (inertia,) = *solution[:2], state.bodies.mass, state.bodies.inertia
+    arm = 0.25 + 0.5 * state.contacts.separation[0]
+    assert p_n[0] == pytest.approx(mass * 1.0, rel=1e-6)
+    assert abs(p_t[0]) == pytest.approx(min(0.5 * p_n[0], 3.0 / (1.0 / mass + arm**2 / inertia)), rel=1e-6)
+    assert solution.angular_velocities[0] == pytest.approx(-arm * abs(p_t[0]) / inertia, rel=1e-6)
+    np.testing.assert_allclose(solution.velocities, [[3.0 - abs(p_t[0]) / mass, 0.0]], atol=1e-6)
+
+
+@pytest.mark.parametrize("gravity", [(0.0, -9.81), (7.0, -3.0), (-9.81, 0.0), (2.0, 9.0)])
+@pytest.mark.parametrize("velocity", [(70.0, 45.0), (-150.0, 80.0)])
+def test_elastic_bounces_of_a_fast_circle_keep_their_energy_however_gravity_lies(gravity, velocity):
+    """½ v² − g · x, with v half a step later: velocities of the leapfrog are those of half a step before."""
+    world = replace(ELASTIC, gravity=gravity)
+    run = dc.simulate(scene([[25.0, 17.0]], [velocity], world=world), steps=300, solver=dc.PGS(), record=1).trajectory
+    late = run.velocities[:, 0] + 0.5 * 0.01 * np.array(gravity)
+    energy = 0.5 * (late**2).sum(axis=1) - run.positions[:, 0] @ gravity
+    np.testing.assert_allclose(energy, energy[0], rtol=2e-5)
+    assert np.count_nonzero(np.abs(np.diff(run.velocities[:, 0], axis=0)).max(axis=1) > 1.0) > 5
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("way", [-1, 1])
+def test_a_fast_circle_meets_what_is_many_cells_away_in_a_crowd_of_small_ones(axis, way):
+    """10 m a step along a row that is empty but for one circle, 8 m away."""
+    grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0)), axis=-1).reshape(-1, 2)
+    row = grid[:, 1 - axis] == 7.0
+    line = np.array([[10.0 - 5.0 * way, 7.0], [10.0 + 3.0 * way, 7.0]])[:, :: 1 - 2 * axis]
+    speeds = np.zeros((len(grid[~row]) + 2, 2))
+    speeds[-2, axis] = 1000.0 * way
+    state = scene(np.concatenate([grid[~row], line]) + 5.0, speeds, radius=0.1)
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position[-2:, axis]
+    assert (after[1] - after[0]) * way > 0.1
+    assert (after[0] - line[0, axis] - 5.0) * way > 7.0
+
+
+@pytest.mark.parametrize("signs", [(-1, -1), (-1, 1), (1, -1), (1, 1)])
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_fast_circle_that_flies_into_a_corner_meets_the_nearer_wall_first(signs, first):
+    """Of a box of 60 m × 40 m: after half of its way it touches one wall, after three quarters it would the other."""
+    gaps = np.array([3.0, 3.0])
+    gaps[first] = 2.0
+    corner = np.where(np.array(signs) > 0, [60.0, 40.0], 0.0)
+    state = scene([corner - np.array(signs) * (1.0 + gaps)], [np.array(signs) * 400.0])
+    run = dc.simulate(state, steps=3, solver=dc.PGS(), record=1).trajectory
+    sunk = 1.0 - np.abs(corner - run.positions[:, 0])
+    assert sunk.max() < 0.02
+    assert run.positions[1, 0, first] == pytest.approx(corner[first] - signs[first], abs=0.02)

@@ -244,3 +244,37 @@ def test_a_circle_of_infinite_mass_is_a_wall_to_others():
     state = dc.find_contacts(state)
     state = state.replace(bodies=state.bodies._replace(mass=np.array(bodies["mass"])))
     np.testing.assert_allclose(after_impacts(state)[0].bodies.velocity[:, 0], [1.0 - 1.5, 1.0, 1.0 + 1.5], rtol=1e-14)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.1, 2.0])
+@pytest.mark.parametrize("e", [0.3, 1.0])
+def test_two_discs_of_any_size_and_spin_rebound_by_newton_and_coulomb(e, mu):
+    """Along n: −e of the approach. Along t: what sticks, or μ P. The moment of P turns both the same way."""
+    slides = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        radius, mass, spin = rng.uniform(0.2, 2.0, 2), rng.uniform(0.1, 9.0, 2), rng.uniform(-6.0, 6.0, 2)
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        n, t = np.array([math.cos(angle), math.sin(angle)]), np.array([math.sin(angle), -math.cos(angle)])
+        overlap = 0.02 * radius.min()
+        place = np.array([[50.0, 50.0], [50.0, 50.0] + (radius.sum() - overlap) * n])
+        velocity = rng.normal(0.0, 2.0, (2, 2)) + np.outer([3.0, -3.0], n) + np.outer([0.0, 4.0], t)
+        state = circles_at(
+            place, radius=radius, mass=mass, spin=spin, velocity=velocity, gravity=(0, 0), box=(0, 0, 100, 100),
+            restitution=e, friction=mu,
+        )  # fmt: skip
+        after, received = after_impacts(dc.find_contacts(state))
+        after, arm = after.bodies, radius - 0.5 * overlap
+        (impulse,) = received
+        np.testing.assert_allclose(mass[1] * (after.velocity[1] - velocity[1]), impulse, atol=1e-9)
+        np.testing.assert_allclose(mass[0] * (after.velocity[0] - velocity[0]), -impulse, atol=1e-9)
+        relative, later = velocity[1] - velocity[0], after.velocity[1] - after.velocity[0]
+        assert later @ n == pytest.approx(-e * (relative @ n), rel=1e-9)
+        slip = relative @ t + arm @ spin
+        effective = 1.0 / (1.0 / mass + arm**2 / state.bodies.inertia).sum()
+        p_t = np.clip(-slip * effective, -mu * (impulse @ n), mu * (impulse @ n))
+        slides += abs(p_t) < 0.999 * abs(slip) * effective
+        assert impulse @ t == pytest.approx(p_t, abs=1e-9)
+        np.testing.assert_allclose(state.bodies.inertia * (after.spin - spin), arm * p_t, atol=1e-9)
+    assert slides == {0.0: 12, 0.1: slides, 2.0: 0}[mu]
+    assert slides > 3 or mu == 2.0

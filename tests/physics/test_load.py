@@ -8,8 +8,8 @@ import pytest
 from conftest import circles_at
 
 import deep_contact as dc
-from deep_contact.physics import load
-from deep_contact.physics.load import load_of
+from deep_contact.physics import load as load_module
+from deep_contact.physics.load import load_of, with_time_step
 
 PRESETS = "preview", "fast", "balanced", "accurate", "reference"
 
@@ -52,6 +52,67 @@ CHANGES = {
 def settled():
     scene = dc.circles_in_box(40, size=(12.0, 40.0), seed=3)
     return {preset: dc.simulate(scene, steps=1000, accuracy=preset).state for preset in PRESETS}
+
+
+LINES = [((0.0, 1.0), (9.0, 1.0)), ((20.0, 0.0), (20.0, 9.0))]
+
+
+def laden():
+    """Two circles beside a belt, under a push."""
+    world = dc.World(segments=LINES, surface_speeds=(1.0, 0.0), friction=0.5, restitution=0.2, scales=dc.BOX2D)
+    bodies = dc.make_bodies([[5.0, 2.0], [7.5, 2.0]], velocity=[[1.0, 0.0], [0.0, 2.0]], spin=[0.0, 1.0])
+    return dc.State(name="laden", world=world, bodies=bodies, push=(np.ones((2, 2)), np.ones(2)))
+
+
+def other(values):
+    """The same numbers but for the last."""
+    values = values.copy()
+    values.flat[-1] += 0.5
+    return values
+
+
+LOADS = {
+    "box": lambda s: world_of(s, box=(0.0, 0.0, 30.0, 31.0)),
+    "gravity": lambda s: world_of(s, gravity=(0.0, -9.8)),
+    "friction": lambda s: world_of(s, friction=0.6),
+    "restitution": lambda s: world_of(s, restitution=0.3),
+    "segments": lambda s: world_of(s, segments=[LINES[0], ((20.0, 0.0), (20.0, 9.5))]),
+    "surface_speeds": lambda s: world_of(s, surface_speeds=(5.0, 0.0)),
+    "no belt": lambda s: world_of(s, surface_speeds=()),
+    "scales": lambda s: world_of(s, scales=dc.BOX2D._replace(slop=0.004)),
+    "dt": lambda s: s.replace(dt=0.02),
+    "position": lambda s: bodies_of(s, position=other(s.bodies.position)),
+    "mass": lambda s: bodies_of(s, mass=other(s.bodies.mass)),
+    "radius": lambda s: bodies_of(s, radius=other(s.bodies.radius)),
+    "force": lambda s: s.replace(push=(other(s.push[0]), s.push[1])),
+    "torque": lambda s: s.replace(push=(s.push[0], other(s.push[1]))),
+    "no push": lambda s: s.replace(push=None),
+}
+"""Of what impulses are solved for -> a state with another."""
+MOTIONS = {
+    "velocity": lambda s: bodies_of(s, velocity=other(s.bodies.velocity)),
+    "spin": lambda s: bodies_of(s, spin=other(s.bodies.spin)),
+}
+
+
+def test_a_load_is_of_all_that_impulses_are_solved_for_and_of_nothing_else():
+    state = laden()
+    load, motion = load_of(state)
+    for name, change in LOADS.items():
+        assert load_of(change(state))[0] != load, name
+        assert load_of(change(state))[1] == motion, name
+    for name, change in MOTIONS.items():
+        assert load_of(change(state))[0] == load, name
+        assert load_of(change(state))[1] != motion, name
+    same = bodies_of(laden(), angle=np.array([1.0, 2.0])).replace(time=3.0, step=7, name="another")
+    assert load_of(same) == (load, motion)
+    smooth = world_of(state, friction=0.0)  # a belt drags nothing then
+    assert load_of(world_of(smooth, surface_speeds=(5.0, 0.0))) == load_of(smooth)
+    known = state.replace(load=(load, motion))
+    assert not load_module.has_new_load(known)
+    assert not load_module.has_new_load(MOTIONS["spin"](known))
+    assert load_module.has_new_load(LOADS["surface_speeds"](known))
+    assert not load_module.has_new_load(LOADS["gravity"](state))  # of which nothing is known
 
 
 @pytest.mark.parametrize("accuracy", PRESETS)
@@ -103,6 +164,35 @@ def test_a_bounce_keeps_its_height_whatever_the_caller_does_to_the_step(steps, d
     assert max(highest[-200:]) == pytest.approx(3.0, rel=0.01)
 
 
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_what_flies_has_the_velocity_of_half_a_step_earlier_and_gets_that_of_another_step(e):
+    """v(t − Δt / 2) of the leapfrog, under gravity and a push, where e > 0; what touches and what is fixed stays."""
+    circles = [[5.0, 5.0], [9.0, 1.0], [14.0, 5.0]]
+    scene = circles_at(circles, velocity=[[1.0, 2.0], [0, 0], [0, 0]], fixed=[False, False, True], restitution=e)
+    push = np.array([[3.0, 1.0], [0.0, -1.0], [5.0, 5.0]])
+    state = dc.simulate(scene, steps=3, solver=dc.PGS(substeps=2), push=push).state
+    gained = (np.array([0.0, -9.81]) + push[0] / scene.bodies.mass[0]) * 0.5 * (e > 0.0)
+    for dt in (0.002, 0.03):
+        after = with_time_step(state, dt).bodies.velocity - state.bodies.velocity
+        np.testing.assert_allclose(after, [gained * (0.01 - dt) / 2, [0, 0], [0, 0]], rtol=1e-9, atol=1e-12)
+    again = dc.simulate(state, steps=0, solver=dc.PGS(substeps=8), push=push).state.bodies.velocity[0]
+    np.testing.assert_allclose(again - state.bodies.velocity[0], gained * (0.01 / 2 - 0.01 / 8), rtol=1e-9, atol=1e-12)
+    assert with_time_step(state, 0.01) is state
+    early = with_time_step(dc.find_contacts(scene), 0.002)
+    np.testing.assert_array_equal(early.bodies.velocity, scene.bodies.velocity)
+
+
+def test_impulses_of_a_solved_state_are_kept_and_its_starts_are_scaled():
+    state = dc.simulate(dc.column(2), steps=5, solver=dc.PGS()).state
+    starts = state.contacts.normal_start
+    unsolved, solved = (with_time_step(state.replace(solved=is_so), 0.03).contacts for is_so in (False, True))
+    for contacts in (unsolved, solved):
+        np.testing.assert_allclose(contacts.normal_start, 3.0 * starts)
+        assert contacts.position is state.contacts.position
+    np.testing.assert_allclose(unsolved.normal_impulse, 3.0 * state.contacts.normal_impulse)
+    assert solved.normal_impulse is state.contacts.normal_impulse
+
+
 @pytest.mark.parametrize("accuracy", [None, "accurate"])
 def test_a_run_that_nothing_disturbs_knows_its_load_and_keeps_its_bits(settled, accuracy):
     state = dc.simulate(dc.circles_in_box(30, seed=1), steps=40, accuracy=accuracy).state
@@ -128,8 +218,8 @@ def test_a_gas_that_goes_on_is_divided_as_it_was():
 def test_what_moves_or_does_not_rest_is_solved_well(speed, left, relaxed, solved, monkeypatch):
     state, called = circles_at([[5.0, 5.0]], velocity=[[speed, 0.0]]), {"at_rest": [], "solve": []}
     solution = SimpleNamespace(normal_impulses="n", tangent_impulses="t")
-    monkeypatch.setattr(load, "at_rest", lambda *start, **how: called["at_rest"].append(how) or ("n", "t", left))
-    monkeypatch.setattr(load, "solve", lambda state, solver, *start: called["solve"].append(solver) or solution)
-    load._good(state, None, None, None, None)
+    monkeypatch.setattr(load_module, "at_rest", lambda *start, **how: called["at_rest"].append(how) or ("n", "t", left))
+    monkeypatch.setattr(load_module, "solve", lambda state, solver, *start: called["solve"].append(solver) or solution)
+    load_module._good(state, None, None, None, None)
     assert called["at_rest"] == [{"iterations": 2000, "speed": pytest.approx(1e-4 * 0.0981)}] * relaxed
     assert called["solve"] == [dc.NesterovPGS(sweeps=500, tolerance=None)] * solved

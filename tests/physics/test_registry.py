@@ -47,4 +47,6 @@ def test_the_precision_that_old_files_name_is_double():
 
 
 def test_the_threads_that_old_files_name_change_nothing():
+    with pytest.raises(ValueError, match=r"option of PSOR: expected one of .*, got 'omga'; did you mean 'omega'"):
+        solver_from("PSOR", {"omga": 1.5})
     assert solver_from("BatchedPGS", {"sweeps": 7, "threads": 2}) == dc.BatchedPGS(sweeps=7)

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact import constants
@@ -169,6 +170,17 @@ def test_no_body_leaves_a_step_faster_than_a_state_may_be(scales, dt):
     state = dc.step(scene, solver=dc.PGS(sweeps=0))
     assert np.abs(state.bodies.velocity).max() <= FASTEST * (1 + 1e-12)
     dc.step(state)
+
+
+@pytest.mark.parametrize("gravity", [(0.0, -9.81), (0.0, 0.0)])
+def test_fixed_circles_have_no_part_in_the_tolerance_of_a_solver(gravity):
+    """It follows the mean mass of those that move; the peg's is infinite."""
+    scene = circles_at([[5.0, 1.0], [9.0, 1.0]], mass=[1.0, 3.0], gravity=gravity)
+    pegged = scene.with_bodies(add=dc.make_bodies([[5.0, 9.0]], fixed=True))
+    one, other = (dc.simulate(state, steps=1, solver=dc.PGS()).state.solver.tolerance for state in (scene, pegged))
+    assert 0.0 < one == other
+    only = circles_at([[5.0, 9.0]], fixed=True, gravity=gravity)
+    assert 0.0 < dc.simulate(only, steps=2, solver=dc.PGS()).state.solver.tolerance < 1.0
 
 
 def test_a_tolerance_of_the_user_is_absolute_and_a_run_holds_numbers():

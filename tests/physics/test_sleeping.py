@@ -135,3 +135,81 @@ def test_a_pile_sleeps_where_it_would_have_stayed_awake():
     assert slept.relaxations[-1] == 0
     awake = dc.simulate(slept.state, steps=200).state
     np.testing.assert_allclose(slept.state.bodies.position, awake.bodies.position, atol=2.0 * 0.01)
+
+
+# ---- beside what moves, is fixed, or pushes ----
+
+BED = {"box": (-20.0, 0.0, 20.0, 20.0), "friction": 0.5}
+
+
+def nest(**changes):
+    """A ball on two pegs, and a ball on the floor, far from each other."""
+    options = {"fixed": [True, True, False, False]} | BED | changes
+    return circles_at([[-1.2, 1.0], [1.2, 1.0], [0.0, 2.6], [9.0, 1.0]], **options)
+
+
+def test_what_lies_on_pegs_falls_asleep_and_loads_them_with_its_weight():
+    scene, weight = nest(), np.pi * 9.81
+    run = dc.simulate(scene, steps=160, solver=RESTING, sleep=True, record=40, forces=True)
+    assert run.contacts[:20].max() > 0
+    np.testing.assert_array_equal(run.contacts[120:], 0)
+    np.testing.assert_array_equal(run.state.bodies.velocity, 0.0)
+    np.testing.assert_allclose(run.force_on("circle", [0, 1])[-1], [0.0, -weight], rtol=1e-6, atol=1e-6 * weight)
+    np.testing.assert_allclose(run.force_on("circle", 2)[-1], [0.0, weight], rtol=1e-6, atol=1e-6 * weight)
+    np.testing.assert_allclose(run.force_on("floor")[-1], [0.0, -weight], rtol=1e-6, atol=1e-6 * weight)
+    assert run.trajectory.work[-1] == pytest.approx(run.trajectory.work[-2])
+
+
+@pytest.mark.parametrize("kind", ["roller", "peg that creeps", "wall that creeps"])
+def test_nothing_sleeps_on_what_moves_and_all_else_does(kind):
+    """However slowly. The ball on the floor is far from it."""
+    changes = {"roller": {"spin": [1e-3, 0.0, 0.0, 0.0]}, "peg that creeps": {"velocity": [[0, 1e-3], *[[0, 0]] * 3]}}
+    wall = {"segments": [((-3.0, 0.5), (3.0, 0.5))], "segment_velocities": [((0.0, 1e-3), (0.0, 1e-3))]}
+    scene = nest(**changes.get(kind, {}))
+    if kind == "wall that creeps":
+        scene = circles_at([[0.0, 1.5], [9.0, 1.0]], **BED, **wall)
+    run = dc.simulate(scene, steps=200, solver=RESTING, sleep=True)
+    assert run.contacts[-1] == {"wall that creeps": 1}.get(kind, 2)
+    np.testing.assert_array_equal(run.state.bodies.velocity[-1], 0.0)
+    np.testing.assert_allclose(run.state.bodies.position[-1], [9.0, 1.0], atol=0.02)
+    if kind != "roller":
+        rise = (run.state.world.segments or [(0, run.state.bodies.position[0, 1])])[0][1]
+        assert rise == pytest.approx({"wall that creeps": 0.5}.get(kind, 1.0) + 2e-3)
+
+
+@pytest.mark.parametrize("kind", ["paddle", "wall", "wall that is set"])
+def test_who_sleeps_wakes_when_what_moves_comes_and_goes_with_it(kind):
+    """At 1 m/s from 4.5 m on; it takes 4.5 s, of which the ball sleeps three at least."""
+    centres, comes = [[9.0, 1.0]], {}
+    if kind == "paddle":
+        centres, comes = [[9.0, 1.0], [2.5, 1.2]], {"velocity": [[0, 0], [1.0, 0.0]], "fixed": [False, True]}
+    else:
+        comes = {"segments": [((3.5, 0.2), (3.5, 3.0))], "segment_velocities": [((1.0, 0.0),) * 2]}
+        if kind == "wall that is set":
+            comes["segment_velocities"] = [((0.001, 0.0),) * 2]
+    run = dc.Simulator(circles_at(centres, **BED, **comes), solver=RESTING, sleep=True)
+    run.step(150)
+    assert run._steps.sleep.still[0] == np.inf
+    if kind == "wall that is set":
+        run.set(segment_velocities=[((1.0, 0.0),) * 2])
+        assert run._steps.sleep.still[0] == 0.0
+    run.step(200)
+    np.testing.assert_allclose(run.positions[0], [9.0, 1.0], atol=0.02)
+    run.step(350)
+    assert run.velocities[0, 0] == pytest.approx(1.0, abs=0.05)
+    ahead = run.positions[1, 0] + 2.0 if kind == "paddle" else run.state.world.segments[0][0] + 1.0
+    assert run.positions[0, 0] == pytest.approx(ahead, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    "change", [{"gravity": (3.0, -9.0)}, {"push": np.full((4, 2), [0.0, 40.0])}, {"friction": 0.4}]
+)
+def test_who_sleeps_wakes_when_the_world_or_the_push_is_set(change):
+    run = dc.Simulator(nest(), solver=RESTING, sleep=True, push=np.zeros((4, 2)))
+    run.step(150)
+    np.testing.assert_array_equal(run._steps.sleep.still, np.inf)
+    run.set(**change)
+    np.testing.assert_array_equal(run._steps.sleep.still, 0.0)
+    run.step(60)
+    moved = np.abs(run.positions - nest().bodies.position).max() > 0.05
+    assert moved == ("friction" not in change)

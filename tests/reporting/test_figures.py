@@ -417,7 +417,7 @@ def test_a_stored_state_draws_the_same_picture(tmp_path, contacts):
     assert pictures[0] == pictures[1]
 
 
-def test_arrows_are_forces_stress_is_in_its_cells_and_a_belt_has_its_way():
+def test_stress_is_in_its_cells_and_a_belt_has_its_way():
     belt = {"segments": [((1.0, 1.0), (7.0, 1.0))], "surface_speeds": [-2.0]}
     scene = circles_at([[3.0, 2.0], [5.5, 2.0]], box=(0.0, 0.0, 8.0, 6.0), **belt)
     state = dc.simulate(scene, steps=5, solver=dc.PGS()).state
@@ -425,12 +425,50 @@ def test_arrows_are_forces_stress_is_in_its_cells_and_a_belt_has_its_way():
     plotting.draw_state(ax, state)
     (belt,) = ax.texts
     assert belt.xyann[0] > belt.xy[0]  # from its tail to its head
-    plotting.draw_forces(ax, state, largest=20.0)
-    arrows = ax.collections[-1]
-    force = np.column_stack([arrows.U, arrows.V])
-    np.testing.assert_allclose(force[:2], 0.04 * dc.forces(state).net)
-    np.testing.assert_allclose(force[-1], -force[:2].sum(axis=0), atol=1e-12)
     shown = plotting.draw_stress(image, state, spacing=2.0).get_array()
     assert shown.shape == (3, 4)
     assert (np.flatnonzero(shown[1]) == [1, 2]).all()
     assert shown.sum() == shown[1].sum() > 0
+
+
+def test_contact_forces_are_lines_in_newtons_with_the_totals_of_the_walls():
+    """A pile of 80 at rest: as many lines as contacts that push; the floor's total is what `force_on` has."""
+    scene = dc.circles_in_box(n_bodies=80, seed=1)
+    run = dc.simulate(scene, steps=600, record=600, solver=dc.PGS(sweeps=50))
+    run = dc.simulate(run.state, steps=1, record=1, forces=True)
+    state = run.solved[-1]
+    force = state.contacts.normal_impulse / state.dt
+    _, ax = plotting.subplots()
+    plotting.draw_contact_forces(ax, state, friction=True)
+    lines, across = ax.collections[-2:]
+    acts = force > 1e-6 * force.max()
+    np.testing.assert_allclose(lines.get_linewidths(), 4.0 * force[acts] / force.max())
+    assert 80 < len(lines.get_segments()) == acts.sum()
+    share = np.abs(state.contacts.tangent_impulse / state.dt) / force.max()
+    np.testing.assert_allclose(across.get_linewidths(), 4.0 * share[share > 1e-6])
+    texts = [text.get_text() for text in ax.get_legend().get_texts()]
+    assert texts[:3] == [f"{part * force.max():.3g} N" for part in (1.0, 0.5, 0.1)]
+    for side in ("floor", "left", "right"):
+        (total,) = [text for text in texts if text.startswith(side)]
+        shown = float(total.split(": ")[1].removesuffix(" N").replace(",", ""))
+        assert shown == pytest.approx(np.hypot(*run.force_on(side)[-1]), rel=1e-3)
+    # What a wall gives points into the box, and ends where it acts.
+    arrows = [(text.xy, text.xyann) for text in ax.texts]
+    assert any(tip[1] > tail[1] and abs(tip[1]) < 0.05 for tip, tail in arrows)
+    assert any(tip[0] > tail[0] and abs(tip[0]) < 0.05 for tip, tail in arrows)
+    assert any(tip[0] < tail[0] and abs(tip[0] - 30) < 0.05 for tip, tail in arrows)
+
+
+def test_a_pile_at_rest_is_dark_and_the_bar_goes_with_its_axes():
+    """√(g r̄) = 4.43 m/s for circles of 2 m: half of it is the middle of the colours."""
+    state = circles_at([[3.0, 3.0], [8.0, 3.0]], radius=2.0, velocity=[[0.01, 0.0], [0.0, 0.0]])
+    _, ax = plotting.subplots()
+    circles = plotting.draw_state(ax, state)
+    assert circles.get_clim() == (0.0, pytest.approx(np.sqrt(9.81 * 2.0)))
+    (bar,) = ax.child_axes
+    assert bar.get_ylabel() == "speed (m/s)"
+    ax.clear()
+    assert not ax.child_axes
+    fast = state.replace(bodies=state.bodies._replace(velocity=np.array([[30.0, 40.0], [0.0, 0.0]])))
+    assert plotting.draw_state(ax, fast, bar=False).get_clim() == (0.0, 50.0)
+    assert not ax.child_axes

@@ -23,8 +23,6 @@ import measured
 README = ROOT / "README.md"
 DOCS = ROOT / "docs"
 REFERENCE = ROOT / "data" / "reference"
-MADE = ("../api/index.md", "appendix.md")
-"""Pages that are made when the site is built."""
 PAGES = {
     str(path.relative_to(ROOT)): path for path in (README, *sorted(DOCS.glob("*.md")), DOCS / "gallery" / "index.md")
 }
@@ -66,16 +64,13 @@ def test_a_sentence_gets_its_numbers_wherever_its_lines_end(monkeypatch):
 
 
 def test_the_appendix_has_every_claim_element_and_erratum():
-    appendix = run_python(DOCS / "tables.py", "--appendix").stdout
+    appendix = TEXTS["docs/appendix.md"]
     claims = [claim for path in REFERENCE.glob("*.json") for claim in json.loads(path.read_text()).get("claims", ())]
     assert all(claim["text"].replace("|", "\\|") in appendix for claim in claims)
     for line in (DOCS / "elements.txt").read_text(encoding="utf-8").splitlines():
         assert f"| {line.partition(' | ')[0]} | " in appendix
-    titles = [re.sub(r"[^\w -]", "", title, flags=re.ASCII) for title in re.findall("^## (.*)", appendix, re.M)]
-    anchors = {re.sub("[ -]+", "-", title).lower() for title in titles}
-    linked = {anchor for text in TEXTS.values() for anchor in re.findall(r"appendix\.md#([\w-]+)", text)}
-    assert linked
-    assert linked <= anchors
+    for faults in json.loads((DOCS / "errata.json").read_text(encoding="utf-8")).values():
+        assert all(f"| {fault['where']} | ".replace("*", "\\*") in appendix for fault in faults)
 
 
 @pytest.mark.parametrize("page", [page for page, found in PYTHON.items() if found])
@@ -128,11 +123,66 @@ def test_commands_name_scripts_files_and_options_that_there_are(command):
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_every_picture_path_and_link_exists(page):
-    text = TEXTS[page]
-    links = [link for link in re.findall(r"\]\(([^)#\s]+)", text) if "://" not in link and not link.startswith("api/")]
-    paths = re.findall(r"`((?:scripts|tests|data|models|deep_contact)/[\w./]*)`", text)
-    for path in links:
-        assert (PAGES[page].parent / path).exists() or path in MADE, path
-    for path in paths:
+def test_every_path_that_is_named_exists(page):
+    for path in re.findall(r"`((?:scripts|tests|data|models|deep_contact)/[\w./]*)`", TEXTS[page]):
         assert (ROOT / path).exists(), path
+
+
+MADE = {"build", "dist", "figures", "runs", "predictions", "generated", "node_modules"}
+"""Folders of what programs write: a clone has none of them."""
+TREE = sorted(
+    path.relative_to(ROOT)
+    for path in ROOT.rglob("*.md")
+    if not any(part in MADE or part.startswith(".") for part in path.relative_to(ROOT).parts)
+)
+
+
+def without_code(text):
+    """A page without its blocks and pieces of code, which have no links."""
+    return re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
+
+
+def anchors(page):
+    """Where links can point to in a page: its headings as GitHub names them, and what has an id."""
+    text = page.read_text(encoding="utf-8")
+    headings = re.findall(r"^#+ (.*)", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE), re.MULTILINE)
+    plain = (re.sub(r"\[([^]]*)\]\([^)]*\)", r"\1", heading) for heading in headings)
+    return {re.sub(r"[^\w -]", "", one.lower()).strip().replace(" ", "-") for one in plain} | set(
+        re.findall(r"""id=["']([^"']+)""", text)
+    )
+
+
+def links(page):
+    """The links of a page that stay in the repository, pictures and HTML included."""
+    text = without_code(page.read_text(encoding="utf-8"))
+    found = re.findall(r"\]\(<?([^)\s>]+)", text) + re.findall(r"""(?:href|src)=["']([^"']+)""", text)
+    return [link for link in found + re.findall(r"^\[[^]]+\]: (\S+)", text, re.M) if not re.match(r"[a-z]+:", link)]
+
+
+def dead(page):
+    """The links of a page that lead nowhere in a clone."""
+    targets = [(link, *link.partition("#")[::2]) for link in links(page)]
+    places = [(link, (page.parent / path).resolve() if path else page, anchor) for link, path, anchor in targets]
+    return [
+        link
+        for link, place, anchor in places
+        if not place.exists() or (anchor and place.suffix == ".md" and anchor not in anchors(place))
+    ]
+
+
+@pytest.mark.parametrize("page", TREE, ids=str)
+def test_no_link_of_a_page_is_dead_in_a_clone(page):
+    assert dead(ROOT / page) == []
+
+
+def test_dead_links_of_every_kind_are_found(tmp_path):
+    page = tmp_path / "page.md"
+    other = tmp_path / "other.md"
+    other.write_text("# Title, *one*: of `two`\n## [Linked](page.md) 3.5\n```\n# no heading\n```\n<a id='here'></a>\n")
+    alive = "other.md other.md#title-one-of-two other.md#linked-35 other.md#here #words https://nowhere.invalid/x"
+    wrong = "gone.md other.md#no-heading #gone gone.png gone.html gone.txt"
+    every = [*(f"[a]({link})" for link in alive.split()), *(f"[a]({link})" for link in wrong.split()[:3])]
+    every += ["![a](gone.png)", '<a href="gone.html">a</a>', "[b]: gone.txt", "`[a](code.md)`"]
+    page.write_text("# Words\n" + "\n".join(every))
+    assert dead(page) == wrong.split()
+    assert len(TREE) > 20

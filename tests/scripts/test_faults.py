@@ -115,7 +115,7 @@ except OSError as error:
 PREPARE = {
     "model.h5": """
 from deep_contact.cnn import model_file, registry
-network, spec, _ = model_file.read_model(registry.network_file("model"))
+network, spec, _ = model_file.read_model(registry.network_file("far field"))
 model = network.build()
 model.to_json()"""
 }

@@ -47,15 +47,26 @@ def test_a_state_is_predicted_and_drawn_with_either_kind_of_network(kind, script
 def test_positions_alone_are_predicted_by_the_network_without_a_past_and_have_no_column_of_builtin(script, tmp_path):
     state = dc.simulate(dc.circles_in_box(40, size=20, seed=1), steps=150, solver=dc.PGS()).state
     dc.write_state(tmp_path / "alone.xml", state.replace(contacts=None))
-    printed = script.predict_file(tmp_path / "alone.xml", None, tmp_path, pictures=False)
-    assert any("no_past" in line for line in printed)
+    model = dc.load_model("far field, no past")
+    printed = script.predict_file(tmp_path / "alone.xml", model, tmp_path, pictures=False)
+    assert any("the network corrects the start support" in line for line in printed)
     with open(tmp_path / "alone.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert [name for name in rows[0] if name.endswith("_n")] == ["predicted_n"]
     predicted = [[float(row[f"predicted_{part}"]) for row in rows] for part in "nt"]
     found = dc.find_contacts(state.replace(contacts=None))
-    np.testing.assert_allclose(predicted, dc.warm_start.LearnedSupport()(found, None), rtol=1e-12)
+    np.testing.assert_allclose(predicted, dc.warm_start.FarFieldNoPast()(found, None), rtol=1e-12)
     with pytest.warns(UserWarning, match="expected impulses, which this network corrects, got none"):
-        dc.load_model().predict(found)
-    script.predict_file(ROOT / "data" / "sample" / "impact_154.xml.gz", None, tmp_path, pictures=False)
+        dc.load_model("far field").predict(found)
+    script.predict_file(ROOT / "data" / "sample" / "impact_154.xml.gz", model, tmp_path, pictures=False)
     assert "builtin_n" in (tmp_path / "impact_154.csv").read_text(encoding="utf-8")
+
+
+def test_another_box_names_the_network_that_takes_it(script, tmp_path, capsys):
+    pytest.importorskip("keras")
+    state = dc.simulate(dc.circles_in_box(20, size=20, seed=1), steps=120).state
+    dc.write_state(tmp_path / "small.xml", state)
+    arguments = [str(tmp_path / "small.xml"), "--no-pictures", "--out", str(tmp_path)]
+    assert script.main(arguments) != 0
+    assert 'got 20 m × 20 m; the network "far field" takes any box' in capsys.readouterr().err
+    assert script.main([*arguments, "--model", "far field"]) == 0

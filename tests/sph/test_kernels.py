@@ -133,3 +133,22 @@ def test_the_smallest_distances_are_the_centre(kernel, dim):
 def test_values_have_the_shape_of_the_distances():
     assert isinstance(sph.value("poly6", 0.5, 1.0), float)
     assert sph.gradient("poly6", np.zeros((4, 5, 3)), 1.0, dim=3).shape == (4, 5, 3)
+
+
+@kernels
+@dims
+def test_derivatives_of_a_field_are_sums_of_those_of_the_kernel(kernel, dim):
+    """Eq 3.7: ∇A = Σ V_i A_i ∇W and ∇²A = Σ V_i A_i ∇²W of A = Σ V_i A_i W (Eq 3.6), at one point."""
+    places, rng, step = off_the_knots(dim), np.random.default_rng(3), 1e-4 * H
+    values, volumes, axes = rng.normal(size=len(places)), rng.uniform(0.5, 1.5, len(places)), step * np.eye(dim)
+
+    def field(x):
+        return np.sum(volumes * values * sph.value(kernel, np.linalg.norm(x - places, axis=1), H, dim))
+
+    here = np.zeros(dim)
+    ahead, behind = np.array([field(here + axis) for axis in axes]), np.array([field(here - axis) for axis in axes])
+    gradient = (volumes * values) @ sph.gradient(kernel, here - places, H, dim)
+    np.testing.assert_allclose(gradient, (ahead - behind) / (2 * step), atol=1e-6 * abs(gradient).max())
+    laplacian = np.sum(volumes * values * sph.laplacian(kernel, np.linalg.norm(here - places, axis=1), H, dim))
+    second = (ahead - 2 * field(here) + behind).sum() / step**2
+    assert laplacian == pytest.approx(second, rel=1e-4, abs=1e-4)

@@ -102,8 +102,8 @@ def test_without_a_trained_network_its_figures_say_what_to_do(keras, tmp_path, c
 @pytest.mark.parametrize("script", ["figure_4_3", "figure_4_6"])
 def test_a_far_field_network_is_none_that_they_can_look_into(keras, tmp_path, capsys, script):
     with pytest.raises(SystemExit, match="2"):
-        figures.main(load_script(script).FIGURE, ["--set", "model=models/model.h5", "--out", str(tmp_path)])
-    expected = "model: expected a network on images, such as models/thesis_factored.h5, got models/model.h5, a"
+        figures.main(load_script(script).FIGURE, ["--set", "model=models/far_field.h5", "--out", str(tmp_path)])
+    expected = "model: expected a network on images, such as models/model.h5, got models/far_field.h5, a"
     assert expected in capsys.readouterr().err
 
 

@@ -11,7 +11,7 @@ from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import step_problem
 from deep_contact.studies import piles
-from deep_contact.warm_start import LearnedSupport
+from deep_contact.warm_start import FarFieldNoPast
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def pile():
 
 def test_the_network_corrects_the_support_within_the_cone(pile):
     state, solution = pile
-    starts = [dc.warm_start.Support()(state, None), LearnedSupport()(state, None)]
+    starts = [dc.warm_start.Support()(state, None), FarFieldNoPast()(state, None)]
     normal, tangent = starts[1]
     assert (normal >= 0).all()
     assert (np.abs(tangent) <= state.world.friction * normal + 1e-12).all()
@@ -39,21 +39,21 @@ def test_the_network_sees_the_supports_impulses_as_those_to_correct(pile):
     state, _ = pile
     normal, tangent = dc.warm_start.Support()(state, None)
     contacts = state.contacts._replace(normal_start=normal, tangent_start=tangent)
-    expected = dc.load_model("no_past").predict(state.replace(contacts=contacts))
-    np.testing.assert_array_equal(LearnedSupport().from_problem(state, None, step_problem(state)), expected)
+    expected = dc.load_model("far field, no past").predict(state.replace(contacts=contacts))
+    np.testing.assert_array_equal(FarFieldNoPast().from_problem(state, None, step_problem(state)), expected)
 
 
 def test_without_gravity_or_contacts_it_is_zero(pile):
     state, _ = pile
     weightless = state.replace(world=dc.World(box=state.world.box, gravity=(0.0, 0.0)))
-    assert not np.any(LearnedSupport()(weightless, None))
+    assert not np.any(FarFieldNoPast()(weightless, None))
     alone = dc.simulate(dc.circles_in_box(3, seed=1), steps=0).state
-    assert dc.warm_start.starting_impulses("learned support", alone, dc.PGS())[0].size == 0
+    assert dc.warm_start.starting_impulses("far field, no past", alone, dc.PGS())[0].size == 0
 
 
 def test_a_network_on_images_is_refused():
     with pytest.raises(ModelFileError, match="expected a far-field network"):
-        LearnedSupport("thesis_factored")
+        FarFieldNoPast("model")
 
 
 def test_without_a_past_contacts_carry_no_impulses(pile):

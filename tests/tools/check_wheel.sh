@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # The package without its repository: build the source distribution, from that the wheel; install the wheel beside the
-# packages of .venv and use it in an empty folder; pass the tests of files in the unpacked source distribution.
+# packages of .venv and use it in an empty folder; pass the tests of files in the unpacked source distribution; let strict
+# type checkers read a program of a user.
 # DEEP_CONTACT_WHEEL_PYTHON names another python, such as python3.13: then the wheel comes with its own packages from
 # the index (2.6 GB), and every program of the gallery runs.
 set -euo pipefail
@@ -12,8 +13,8 @@ export TF_CPP_MIN_LOG_LEVEL=3 CUDA_VISIBLE_DEVICES=""
 unset PYTHONPATH DEEP_CONTACT_MODELS
 
 work="$(mktemp -d)"
-tests=""
-trap '[ -z "$tests" ] || kill "$tests" 2> /dev/null || true; rm -rf "$work"' EXIT
+tests="" types=""
+trap '[ -z "$tests$types" ] || kill $tests $types 2> /dev/null || true; rm -rf "$work"' EXIT
 mkdir "$work/repository" "$work/empty"
 
 # From the files that git knows, or would add: caches and old builds must not be what makes it work.
@@ -58,6 +59,16 @@ else
 fi
 export PATH="$work/env/bin:$PATH"
 
+# What strict type checkers say of the wheel, meanwhile.
+(
+    mkdir "$work/typed"
+    cd "$work/typed"
+    cp "$source/tests/tools/user_script.py" .
+    "$PYTHON" -m mypy --strict --python-executable "$work/env/bin/python" --cache-dir "$work/mypy" user_script.py
+    "$PYTHON" -m pyright --pythonpath "$work/env/bin/python" user_script.py
+) > "$work/types" 2>&1 &
+types=$!
+
 cd "$work/empty"
 python - "$packages" << 'CHECKS'
 import sys
@@ -74,24 +85,20 @@ dc.write_state("later.xml", run.state)
 assert dc.recommend(run.state).solver.sweeps > 0
 dc.plan(run.state)
 state = dc.read_state(dc.sample_file())
+assert dc.load_model().card["architecture"] == "thesis"
 normal, tangent = dc.load_model().predict(state)
 assert normal.shape == tangent.shape == (state.contacts.count,)
-for start in ("builtin", "cnn", (normal, tangent)):
+for start in ("builtin", "cnn", "far field", (normal, tangent)):
     assert dc.solve_contacts(state, solver=dc.PGS(sweeps=30), start=start).record.sweeps > 0
-dc.load_model("model")
-try:
-    dc.load_model("thesis_factored")
-except FileNotFoundError as error:
-    assert "source repository" in str(error), error
-else:
-    raise AssertionError("thesis_factored: expected it outside of the wheel")
+dc.load_model("far field, no past")
 CHECKS
 deep-contact --version
-deep-contact simulate later.xml --steps 20 --warm-start cnn --out run.h5
+deep-contact simulate later.xml --steps 20 --warm-start "far field" --out run.h5
 deep-contact predict --no-pictures "$(deep-contact sample rest_362)"
 deep-contact generate-data --quick --jobs 1
-deep-contact train --from model --data data/generated/quick --epochs 1 --states-per-epoch 32 --out trained
+deep-contact train --from "far field" --data data/generated/quick --epochs 1 --states-per-epoch 32 --out trained
 deep-contact simulate --bodies 10 --steps 8 --every 4 --out film.gif
+deep-contact simulate --bodies 10 --steps 8 --every 4 --out run.html
 deep-contact figure 5.3 --quick > figure.txt
 deep-contact table 5.1 --quick > table.txt
 programs=("$source"/docs/gallery/predict_impulses.py)
@@ -99,9 +106,10 @@ programs=("$source"/docs/gallery/predict_impulses.py)
 for program in "${programs[@]}"; do
     mkdir "${program##*/}" && (cd "${program##*/}" && python "$program" > printed.txt)
 done
-for file in later.xml run.h5 predictions/rest_362.csv film.gif trained/model.h5 figures/figure_5_3.png figures/table_5_1.json; do
+for file in later.xml run.h5 predictions/rest_362.csv film.gif run.html trained/model.h5 figures/figure_5_3.png figures/table_5_1.json; do
     [ -s "$file" ] || { echo "$file: expected a file, got none"; exit 1; }
 done
 
+wait "$types" || { cat "$work/types"; exit 1; }
 wait "$tests" || { cat "$work/log"; exit 1; }
 echo "The wheel works without the repository, and the source distribution passes its tests of files."

@@ -1,11 +1,12 @@
 """Mutation testing: how many small faults in `physics/` and `sph/`, or in the files that are named, the tests find.
 
     python tests/tools/mutate.py [--mutants 100] [--seed 0] [--jobs 2] [--out data/reference/mutants.json]
-    python tests/tools/mutate.py physics/exact.py=tests/physics/test_exact.py,… … --out …
+    python tests/tools/mutate.py physics/exact.py=tests/physics/test_exact.py,… 'io/*.py=tests/io' … --out …
 
 Cosmic Ray makes the mutants. The sample takes from every file by its share of places, and one fault in each place.
 Every mutant is tried in a copy of the package, by the tests of its folder and the golden runs, or by the tests that are
-named with its file. Running out of time kills it, too.
+named with its file, or with a pattern of files. Running out of time kills it, too. With the hash of a commit as seed,
+nobody has chosen the mutants.
 
 The record is written after every mutant. Another run keeps what was killed there, and the survivors under `explained`
 of which somebody has written why they cannot be told from the original; it tries the others.
@@ -44,7 +45,7 @@ OPERATORS = {name: get_operator(name)() for name in operator_names() if not SKIP
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
 
-def draw(count: int, seed: int, files: Iterable[str] = ()) -> dict[str, dict]:
+def draw(count: int, seed: int | str, files: Iterable[str] = ()) -> dict[str, dict]:
     """`count` mutants, in random order, by a name without line numbers, which change with every edit."""
     folders = (ROOT / "deep_contact" / name for name in ("physics", "sph"))
     named = [ROOT / file for file in files]
@@ -91,12 +92,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("files", metavar="FILE=TEST,…", nargs="*", help="default: all of physics and sph, by TESTS")
     parser.add_argument("--mutants", type=int, default=100)
-    parser.add_argument("--seed", type=int, default=0)
+    number_or_text = lambda text: int(text) if text.isdecimal() else text  # noqa: E731
+    parser.add_argument("--seed", type=number_or_text, default=0, help="a number, or the hash of a commit")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=ROOT / "data" / "reference" / "mutants.json")
     given = parser.parse_args()
     split = (text.partition("=") for text in given.files)
-    named = {f"deep_contact/{file}": tests.replace(",", " ") for file, _, tests in split}
+    named = {
+        str(path.relative_to(ROOT)): tests.replace(",", " ")
+        for pattern, _, tests in split
+        for path in sorted((ROOT / "deep_contact").glob(pattern))
+    }
     mutants, folders = draw(given.mutants, given.seed, named), SimpleQueue()
     stored = json.loads(given.out.read_text())["mutants"] if given.out.exists() else {}
     kept = {name for name, found in stored.items() if found["outcome"] == "killed" or found["explained"]}
@@ -106,7 +112,8 @@ def main() -> None:
         for part in ("deep_contact", "tests", "scripts", "models", "data"):
             shutil.copytree(ROOT / part, folder / part)
         shutil.copy(ROOT / "setup.cfg", folder)
-        outcome, output = run_pytest(folder, " ".join(named.values()) or TESTS, 4 * LIMIT_S)
+        tests = dict.fromkeys(" ".join(named.values()).split())
+        outcome, output = run_pytest(folder, " ".join(tests) or TESTS, 4 * LIMIT_S)
         if outcome == "killed":
             raise SystemExit(f"expected tests that pass without a mutant, got {FAILED.findall(output) or output}")
         folders.put(folder)

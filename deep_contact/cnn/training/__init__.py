@@ -14,7 +14,7 @@ from deep_contact.io.lazy import attach
 
 # ruff: noqa: F401
 if TYPE_CHECKING:
-    from deep_contact.cnn.training.config import TrainingConfig, config_of, far_field_config, thesis_config
+    from deep_contact.cnn.training.config import RECIPES, TrainingConfig, config_of, recipe
     from deep_contact.cnn.training.run import Training, train
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

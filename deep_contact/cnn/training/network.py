@@ -24,6 +24,15 @@ from deep_contact.io.provenance import package_versions, processor
 from deep_contact.validation import expect
 
 
+def optimizer_of(config: TrainingConfig) -> keras.optimizers.Optimizer:
+    """The optimizer of a run, before its first step."""
+    if config.optimizer == "adam":  # Eq 4.10
+        return keras.optimizers.Adam(config.rate, global_clipnorm=1.0)
+    # Eq 4.7; Eq 4.9, the momentum of the authors' code
+    momentum = {"momentum": 0.9, "nesterov": True} if config.optimizer == "nesterov" else {}
+    return keras.optimizers.SGD(config.rate, **momentum)
+
+
 class NetworkRun:
     """A network in training. Subclasses have `batches`, `step` and `validate`.
 
@@ -37,11 +46,7 @@ class NetworkRun:
         self.config, self.spec, self.store = config, config.spec(), store
         self.states, self.validation = states, evenly(validation, config.validation_states)
         self.model = network or architectures.build(config.architecture, **(options | config.options))
-        if config.optimizer == "adam":  # Eq 4.10
-            self.optimizer = keras.optimizers.Adam(config.rate, global_clipnorm=1.0)
-        else:  # Eq 4.7; Eq 4.9, the momentum of the authors' code
-            momentum = {"momentum": 0.9, "nesterov": True} if config.optimizer == "nesterov" else {}
-            self.optimizer = keras.optimizers.SGD(config.rate, **momentum)
+        self.optimizer = optimizer_of(config)
         self.optimizer.build(self.model.trainable_variables)
         self.model.optimizer = self.optimizer  # where Keras's callbacks look for it
         kinds = {"model": self.model.variables, "optimizer": self.optimizer.variables}

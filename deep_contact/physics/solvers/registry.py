@@ -17,7 +17,7 @@ from numba.extending import overload
 from deep_contact.physics.convergence import mark_divergence
 from deep_contact.state import State
 from deep_contact.state.scales import FOLLOWS_SCENE
-from deep_contact.validation import one_of
+from deep_contact.validation import one_of, suggesting
 
 
 class Loop(NamedTuple):
@@ -65,7 +65,7 @@ def register(options: type, settings: Callable, loops: tuple[Loop, ...], *, adva
     """
     if METHODS.setdefault(options.__name__, options) is not options:
         raise ValueError(f"options: expected a new name, got {options.__name__}, which is {METHODS[options.__name__]}")
-    _ENTRIES[options] = Entry(settings, advance)
+    _ENTRIES[suggesting(options)] = Entry(settings, advance)
     for loop in loops:
         _LOOPS[loop.settings] = loop
 
@@ -100,11 +100,14 @@ def solver_from(method: str, options: Mapping):
 
     Old files name a precision, which is always double, and threads, which change no bit.
 
-    Raises ValueError for an unknown method, and what the method raises for its options.
+    Raises ValueError for an unknown method, an unknown option, and what the method raises for its options.
     """
     one_of("precision", options.get("precision", "double"), ("double",))
     known = {name: value for name, value in options.items() if name not in ("precision", "threads")}
-    return METHODS[one_of("method", method, METHODS)](**known)
+    kind = METHODS[one_of("method", method, METHODS)]
+    for name in known:
+        one_of(f"option of {method}", name, [field.name for field in fields(kind)])
+    return kind(**known)
 
 
 def describe(solver) -> str:

@@ -1,0 +1,55 @@
+"""Equality of values that hold arrays: `==` and `in` of states and of results."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import TypeVar
+
+import numpy as np
+
+K = TypeVar("K", bound=type)
+
+
+def by_value(kind: K) -> K:
+    """The class, whose instances are equal where they are of one class and all their fields are `same`.
+
+    A NamedTuple of arrays has no truth value of `==`, and so no `in`, without it. Instances have no hash.
+    """
+
+    def is_equal(self, other):
+        return same(_parts(self), _parts(other)) if type(self) is type(other) else NotImplemented
+
+    kind.__eq__, kind.__ne__, kind.__hash__ = is_equal, object.__ne__, None
+    return kind
+
+
+def same(one, other) -> bool:
+    """Whether two values hold the same: numbers, arrays, texts, and what is made of them. NaN is the same as NaN."""
+    if one is other:
+        return True
+    if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
+        return _same_arrays(np.asarray(one), np.asarray(other)) if type(one) is type(other) else False
+    if hasattr(one, "nnz") and hasattr(other, "nnz"):  # matrices of scipy.sparse
+        return one.shape == other.shape and (one != other).nnz == 0
+    if hasattr(one, "get_weights") and hasattr(other, "get_weights"):  # models of Keras
+        return one.to_json() == other.to_json() and same(one.get_weights(), other.get_weights())
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(same(value, other[key]) for key, value in one.items())
+    if isinstance(one, (tuple, list)) and type(one) is type(other):
+        return len(one) == len(other) and all(map(same, one, other))
+    return bool(one == other) or (one != one and other != other)
+
+
+def _parts(value) -> tuple:
+    """What is compared of an instance."""
+    if is_dataclass(value):
+        return tuple(getattr(value, field.name) for field in fields(value) if field.compare)
+    return tuple(value)
+
+
+def _same_arrays(one: np.ndarray, other: np.ndarray) -> bool:
+    if one.shape != other.shape:
+        return False
+    are_equal = one == other
+    return bool(np.all(are_equal | ((one != one) & (other != other))))
