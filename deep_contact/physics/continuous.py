@@ -64,7 +64,7 @@ BLOCKED = 0.999
 TOGETHER = 1e-9
 """Touches count as simultaneous if they are no farther apart than this, in steps."""
 
-MOST_TOUCHES = 50
+MOST_TOUCHES = 200
 """Most touches of a circle in a step. What approaches after them is left to the contacts of the next step."""
 
 

@@ -124,12 +124,15 @@ class _Watch:
         with np.errstate(over="ignore"):
             self.first = mechanical_energy(self.scene, self.scene.bodies)
             self.scale = self.first if self.first > 0 else 0.5 * self.scene.bodies.mass.sum()
-        self.energy = self.correction = self.speed = 0.0
+        self.energy = self.rise = self.correction = self.speed = 0.0
         self.lost, self.us = "", None
 
     def see(self, bodies: Bodies, *, ours: bool) -> None:
         step, axis = self.every * (len(self.depth) + 1) - 1, self.trial.ordered
-        self.energy = max(self.energy, (mechanical_energy(self.scene, bodies) - self.first) / self.scale)
+        # A rise that the next step takes back is none: a circle that is held early has the velocity of its whole step
+        # until the next step solves its contact (`continuous`).
+        rise = (mechanical_energy(self.scene, bodies) - self.first) / self.scale
+        self.energy, self.rise = max(self.energy, min(self.rise, rise)), rise
         self.speed = float(np.hypot(*bodies.velocity.T).max())
         self.depth.append(metrics.penetration(self.scene.replace(bodies=bodies)))
         if ours:  # the work of position correction against gravity

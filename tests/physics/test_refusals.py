@@ -171,7 +171,7 @@ REFUSED = [
     (run_many, {"warm_start": "sph"}, "warm_start: expected"),
     (run_many, {"threads": 0}, "threads: expected"),
     (run_many, {"steps": -1}, r"states\[0\]: steps: expected"),
-    (run_many, {"scenes": [COLUMN, "pile"]}, "state: expected"),
+    (run_many, {"scenes": [COLUMN, "pile"]}, r"states\[1\]: expected a State"),
     (run_many, {"scenes": [COLUMN, COLUMN.replace(dt=-1.0)]}, r"^states\[1\]: dt: expected"),
     (run, {"accuracy": "fast", "solver": dc.PGS()}, "accuracy: expected"),
     (dc.recommend, {"scene": COLUMN, "accuracy": "best"}, "accuracy: expected"),

@@ -3,9 +3,11 @@
 import math
 
 import numpy as np
+import pytest
 from conftest import circles_at
 
 import deep_contact as dc
+from deep_contact.physics.collision import make_contacts
 from deep_contact.physics.engine import contacts_of, drive_of
 from deep_contact.physics.segments import (
     BESIDE,
@@ -142,20 +144,32 @@ def test_centres_that_have_crossed_a_resting_segment_are_put_to_half_of_their_wa
     np.testing.assert_allclose(state.bodies.position, before + part[:, None] * (POINTS[:, 1] - before), atol=1e-9)
 
 
-def test_centres_that_a_segment_has_passed_are_put_before_it_and_fixed_ones_are_not():
-    """As of a segment at rest, where the way began as far from it as it was from the segment then."""
-    dt, line = 0.25, LINES[:1]
-    rate = RATES[:1]
+@pytest.mark.parametrize("radius", [100.0, 1e-3])
+def test_centres_that_a_segment_presses_stay_before_it_and_what_is_fixed_or_fast_is_passed(radius):
+    """As of a segment at rest, where the way began as far from it as it was from the segment then.
+
+    Slow are ways of less than half of a radius, as the segment sees them; others are for `continuous`. What it did not
+    touch before it passes as well.
+    """
+    dt, line, rate = 0.25, LINES[:1], RATES[:1]
     state, before = crossed_by(line, segment_velocities=[np.reshape(rate, (2, 2))], fixed=np.arange(40) % 4 == 0)
-    segments, expected, held = segments_in_grid(state.world, 0.5), state.bodies.position.copy(), 0
+    state = state.replace(bodies=state.bodies._replace(radius=np.full(40, radius)))
+    solved = make_contacts(20)  # with each second circle
+    solved.body_a[:], solved.body_b[:] = np.arange(1, 40, 2), 44
+    segments, expected, held, passed = segments_in_grid(state.world, 0.5), state.bodies.position.copy(), 0, []
     for i, (start, end) in enumerate(zip(before, expected.copy())):
         start = np.array(carried(line, rate, 0, dt, *start))
         if (share := met(line[0], start, end)) < math.inf and i % 4:
-            expected[i] = start + 0.5 * share * (end - start)
-            held += 1
-    assert held > 3
-    hold_beside_moving(state.bodies, before, segments, drive_of(state), dt)
+            if i % 2 and np.hypot(*(end - start)) < 0.5 * radius:
+                expected[i] = start + 0.5 * share * (end - start)
+                held += 1
+            else:
+                passed.append(i)
+    changed, last = hold_beside_moving(state.bodies, before, segments, solved, drive_of(state), dt)
     np.testing.assert_allclose(state.bodies.position, expected, atol=1e-9)
+    assert changed == (held > 0)
+    assert last == passed[-1]
+    assert (held > 2) == (radius > 1.0)
 
 
 def test_a_grid_says_where_no_segment_is_near():
