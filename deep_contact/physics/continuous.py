@@ -17,7 +17,7 @@ that only lets it slide along, and where nothing is left to slide it has an infi
 *firm* if what holds it rests. Of two that are held against each other the less firm one yields all the same, and what
 moves on into a circle that is firm passes over it.
 
-No approach that rounding could make is a touch: see `PAIRS`, `HELD`. Touches of one time are made together, and share
+Slow approaches are left to the contacts (`PAIRS`, `HELD`). Touches of one time are made together, and share
 the masses of their circles among them, so that no order is preferred. (Box2D 2.3 stops circles at walls and bullets,
 `b2World::SolveTOI`, which loses the rest of their step.)
 """
