@@ -13,7 +13,7 @@ import numpy as np
 from deep_contact.physics.engine import leaves_tangents_out
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.ready import ready
-from deep_contact.physics.solvers import BatchedPGS, describe
+from deep_contact.physics.solvers import PGS, BatchedPGS, describe
 from deep_contact.presets import Accuracy
 from deep_contact.simulation import method_of
 from deep_contact.state import State, notebook
@@ -97,9 +97,9 @@ def _of_the_scene(scene: State, solver) -> dict[str, Choice]:
 
 def _of_the_run(scene: State, solver, start, sleep: bool) -> dict[str, Choice]:
     asked = {True: "asked for", False: "not asked for"}
-    islands, is_called = bool(getattr(solver, "islands", False)), not isinstance(start, (Builtin, NoStart))
+    islands, is_called = isinstance(solver, PGS) and solver.islands, not isinstance(start, (Builtin, NoStart))
     touching = len(np.unique(islands_of(scene)[scene.contacts.body_a]))
-    least, most = getattr(solver, "substeps", 1), getattr(solver, "most_substeps", None) or 1
+    least, most = solver.substeps, solver.substeps * solver.motion_parts
     substeps = f"{least} a step" + (f", up to {most} where something is about to hit" if most > least else "")
     corrected = f"at most {solver.position_sweeps} sweeps"
     return {
@@ -117,6 +117,6 @@ def _stiffness(stiff: Stiffness | None, solver) -> Choice:
     if stiff is None or stiff.carried is not None:
         used = solver.tolerance is not None and solver.sweeps >= SWEEPS
     else:
-        used = getattr(solver, "substeps", 1) >= stiff.heap
+        used = solver.substeps >= stiff.heap
     why = stiff.why if stiff else "nothing is too stiff for a few sweeps"
     return Choice(used, why if used or not stiff else f"{why}, but {describe(solver)} was asked for")

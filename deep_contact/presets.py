@@ -330,7 +330,7 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list
     if stiff is None:
         return candidates
     best = min(candidates, key=lambda one: excess(one["errors"], PRESETS["reference"]))
-    each = min(one["us"] / (one["solver"].sweeps * getattr(one["solver"], "substeps", 1)) for one in candidates)
+    each = min(one["us"] / (one["solver"].sweeps * one["solver"].substeps) for one in candidates)
     us = each * stiff.sweeps * stiff.substeps
     return [{"solver": stiff, "start": "builtin", "us": us, "errors": best["errors"], "dt": TIME_STEP}]
 

@@ -30,7 +30,7 @@ from deep_contact.physics.load import (
 from deep_contact.physics.ready import find_contacts, ready
 from deep_contact.physics.sleeping import wake_pushed
 from deep_contact.physics.solvers import PGS
-from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
+from deep_contact.physics.solvers.registry import entry_of, tolerance_argument
 from deep_contact.physics.step import (
     DONE,
     FINITE,
@@ -532,9 +532,8 @@ def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, War
     elif has_new_load(state):
         state = find_contacts(state)
         state = state if isinstance(start, NoStart) else with_new_load(state, solver)
-    before, now = (getattr(one, "substeps", 1) for one in (state.solver, solver))
     if state.solver is not None:
-        state = with_shifted_flights(state, state.dt / before - state.dt / now)
+        state = with_shifted_flights(state, state.dt / state.solver.substeps - state.dt / solver.substeps)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     preset = accuracy if isinstance(accuracy, str) else state.preset if solver == state.solver else None
     return state.replace(solver=solver, preset=preset), start
@@ -840,4 +839,4 @@ def checked_solver(solver, state: State):
     """The solver, or the state's, or PGS, for this state. Raises ValueError where it does not fit the state."""
     solver = next(one for one in (solver, state.solver, PGS()) if one is not None)
     entry_of(solver)
-    return for_state(solver, state)
+    return solver.for_state(state)

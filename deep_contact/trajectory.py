@@ -130,7 +130,8 @@ class Trajectory:
         half a substep before the positions (symplectic Euler is a leapfrog), so that free flight dissipates nothing.
         """
         header = self.stored.header
-        half = 0.5 * header["dt"] / getattr(header["solver"], "substeps", 1)
+        solver = header["solver"]
+        half = 0.5 * header["dt"] / (1 if solver is None else solver.substeps)
         late = half * (self.velocities @ np.array(self.world.gravity)) @ self._free_mass
         return np.diff(self.work - self.energies.sum(axis=1) - late)
 

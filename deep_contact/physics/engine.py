@@ -42,7 +42,7 @@ from deep_contact.physics.impacts import logged_rebound, rebound
 from deep_contact.physics.passing import without_passed
 from deep_contact.physics.position_correction import correct_positions
 from deep_contact.physics.segments import moved_segments, positions_before, segments_in_grid
-from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax
+from deep_contact.physics.solvers.registry import SolverOptions, entry_of, make_workspace, relax
 from deep_contact.physics.step import (
     DONE,
     FINITE,
@@ -174,8 +174,9 @@ def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive)
 class Steps:
     """The steps of a solver: a call does some of them, in memory that it keeps for the next call.
 
-    solver: options with numbers in place of what follows the scene (`for_state`). n: circles. sleep: whether islands
-    may sleep, where the solver can (`registry.Entry`); all start awake. carry: see `StepOptions`.
+    solver: options with numbers in place of what follows the scene (`SolverOptions.for_state`). n: number of circles.
+    sleep: whether islands may sleep, where the solver can (`registry.Entry`); all start awake.
+    carry: see `StepOptions`.
     """
 
     def __init__(self, solver, n: int, *, sleep: bool = False, carry: bool = True):
@@ -239,7 +240,7 @@ class Steps:
         """
         key, before, built = step.friction is None, 0, None
         buffer = self._buffer_of(contacts, key)
-        if problem is not None and self.sleep is None and step.parts == motion_parts(self._solver) == 1:
+        if problem is not None and self.sleep is None and step.parts == self._solver.motion_parts == 1:
             rows, solver_bodies, _, impacts = started(problem, contacts, step.friction)
             built = {"rows": rows, "solver_bodies": solver_bodies, "is_built": True}
             if step.drive is not None:
@@ -342,19 +343,24 @@ def leaves_tangents_out(state: State, solver) -> bool:
     return state.world.friction == 0 and entry_of(solver).advance is None and not state.contacts.tangent_start.any()
 
 
+UNDIVIDED = SolverOptions()
+"""The options of a step that is solved once."""
+
+
 def step_input(state: State, solver, scales: ContactScales | None = None) -> StepInput:
     """What the next steps of a state read; it shares the state's arrays. scales: of `scales_of`.
 
-    solver: None for rows with tangents and the state's own scales.
+    solver: None for rows with tangents, an undivided step and the state's own scales.
     """
-    world, parts = state.world, getattr(solver, "substeps", 1)
+    world, options = state.world, UNDIVIDED if solver is None else solver
     friction = None if solver is not None and leaves_tangents_out(state, solver) else world.friction
-    scales, most = scales_of(state, solver) if scales is None else scales, motion_parts(solver)
+    scales, most = scales_of(state, options) if scales is None else scales, options.motion_parts
+    parts = options.substeps
     step = StepInput(state.bodies, world.box, None, world.gravity, friction, None, state.dt / parts, parts, scales)
     drive = drive_of(state)
     if most == 1 and not world.segments and world.restitution == 0.0 and drive is None:
         return step
-    motion = Motion(most, solver.approach * mean(state.bodies.radius)) if most > 1 else Motion(1, 0.0)
+    motion = Motion(most, options.approach * mean(state.bodies.radius)) if most > 1 else Motion(1, 0.0)
     segments = segments_in_grid(world, reach_of(state, scales))
     if world.segment_velocities:
         segments = segments._replace(line=segments.line.copy())
@@ -379,14 +385,8 @@ def reach_of(state: State, scales: ContactScales) -> float:
 
 def scales_of(state: State, solver) -> ContactScales:
     """The scales of a state with the solver's slop."""
-    slop, scales = getattr(solver, "slop", 1.0), state.scales
+    slop, scales = solver.slop, state.scales
     return scales if slop == 1.0 else scales._replace(slop=slop * scales.slop)
-
-
-def motion_parts(solver) -> int:
-    """Into how many parts motion may divide each of a solver's substeps."""
-    most = getattr(solver, "most_substeps", None)
-    return 1 if most is None else most // solver.substeps
 
 
 def after_impacts(state: State) -> tuple[State, np.ndarray]:
@@ -442,7 +442,7 @@ def solve(
     Where e > 0 the velocities are those after its impacts as well, whose impulses are not among the solution's.
     problem: of `step_problem(state)`, if it is at hand; it stays as it is.
     """
-    solver = for_state(solver, state)
+    solver = solver.for_state(state)
     settings, n = entry_of(solver).settings(solver), state.bodies.count
     state = state.replace(contacts=state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start))
     friction = None if leaves_tangents_out(state, solver) else state.world.friction

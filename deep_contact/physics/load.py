@@ -76,7 +76,7 @@ def with_new_load(state: StateWithContacts, solver) -> StateWithContacts:
     They stay if the solver of the steps to come leaves no more energy from them than from zero, and makes no circle
     faster than the fastest is now, by more than `KICK`. Otherwise they are found anew, from the share of the carried
     ones that leaves the least energy. Where that leaves more energy than zero does, the state starts from zero.
-    solver: with numbers in place of what follows the scene (`for_state`).
+    solver: with numbers in place of what follows the scene (`SolverOptions.for_state`).
     """
     contacts = state.contacts
     if not contacts.have_past:

@@ -57,7 +57,7 @@ def solve_problem(
     default 0. Impulses are returned in the friction cone. Raises ValueError naming the argument.
     """
     solver = PGS(tolerance=None) if solver is None else solver
-    fits = type(solver) in (PGS, NesterovPGS) and not solver.islands
+    fits = type(solver) is NesterovPGS or (type(solver) is PGS and not solver.islands)
     expect(fits, f"solver: expected one of PGS, NesterovPGS, without islands, got {solver!r}")
     problem = check_problem(problem)
     impulse = np.zeros(problem.b.size) if start is None else floats("start", start, problem.b.shape)

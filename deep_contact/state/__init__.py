@@ -122,7 +122,7 @@ class State:
     @property
     def holds_solution(self) -> bool:
         """Whether the contacts hold the solution of their contact problem: of a step without substeps and rebounds."""
-        is_divided = max(getattr(self.solver, "substeps", 1), getattr(self.solver, "most_substeps", None) or 1) > 1
+        is_divided = self.solver is not None and self.solver.substeps * self.solver.motion_parts > 1
         return self.solved and self.world.restitution == 0.0 and not is_divided
 
     @property

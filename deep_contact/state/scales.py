@@ -25,7 +25,7 @@ FASTEST = 2e9
 is accepted."""
 
 FOLLOWS_SCENE = "scene"
-"""Value of a solver's option that follows the scene: `registry.for_state` puts a number in its place."""
+"""Value of a solver's option that follows the scene: `SolverOptions.for_state` puts a number in its place."""
 
 
 class ContactScales(NamedTuple):

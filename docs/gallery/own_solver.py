@@ -11,16 +11,15 @@ from numba import njit
 
 import deep_contact as dc
 from deep_contact.physics.contact_solver import sweep
-from deep_contact.physics.solvers import Loop, register
+from deep_contact.physics.solvers import Loop, SolverOptions, register
 
 
 @dataclass(frozen=True, kw_only=True)
-class Twice:
+class Twice(SolverOptions):
     """Weakness: every second sweep is not counted."""
 
     sweeps: int = 20
     tolerance: float | None = None
-    position_sweeps: int = 10
 
 
 class Settings(NamedTuple):

@@ -104,7 +104,6 @@ REFUSED = [
     (dc.PSOR, {"omega": 2.0}, "omega: expected"),
     (dc.PSOR, {"friction_omega": 2}, "friction_omega: expected"),
     (dc.NNCG, {"sweeps": -1}, "sweeps: expected"),
-    (dc.BatchedPGS, {"islands": True}, "islands: expected"),
     # a run
     (run, {"steps": -1}, "steps: expected"),
     (run, {"steps": 2, "record": 0}, "record: expected"),

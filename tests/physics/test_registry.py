@@ -7,7 +7,7 @@ import pytest
 from conftest import assert_same_bits, load_script
 
 import deep_contact as dc
-from deep_contact.physics.solvers import register, solver_from
+from deep_contact.physics.solvers import METHODS, SolverOptions, register, solver_from
 
 
 @pytest.fixture(scope="module")
@@ -32,12 +32,35 @@ def test_a_solver_from_outside_runs_sleeps_solves_and_is_written_to_files(Twice,
 
 
 def test_another_solver_of_the_same_name_is_refused():
-    @dataclass(frozen=True)
-    class PGS:
+    @dataclass(frozen=True, kw_only=True)
+    class PGS(SolverOptions):
         sweeps: int = 1
 
-    with pytest.raises(ValueError, match="options: expected"):
+    with pytest.raises(ValueError, match="options: expected a new name"):
         register(PGS, lambda solver: None, ())
+
+
+def test_options_without_those_of_stepping_are_refused():
+    @dataclass(frozen=True)
+    class Alone:
+        sweeps: int = 1
+
+    with pytest.raises(ValueError, match="options: expected a subclass of SolverOptions, got Alone"):
+        register(Alone, lambda solver: None, ())
+
+
+def test_every_solver_has_the_options_of_stepping_under_the_same_defaults():
+    of_stepping = {"position_sweeps": 10, "substeps": 1, "most_substeps": None, "approach": 0.03, "slop": 1.0}
+    for kind in METHODS.values():
+        assert {name: getattr(kind(), name) for name in of_stepping} == of_stepping, kind
+    assert dc.PSOR(substeps=2, most_substeps=8).motion_parts == 4
+
+
+def test_islands_that_old_files_name_are_those_of_pgs_alone():
+    assert solver_from("NNCG", {"islands": False, "sweeps": 7}) == dc.NNCG(sweeps=7)
+    assert solver_from("PGS", {"islands": True}).islands
+    with pytest.raises(ValueError, match="option of NNCG: expected"):
+        solver_from("NNCG", {"islands": True})
 
 
 def test_the_precision_that_old_files_name_is_double():

@@ -16,7 +16,6 @@ from deep_contact import constants
 from deep_contact.physics.lcp import contact_problem
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import METHODS
-from deep_contact.physics.solvers.registry import for_state
 from deep_contact.state.arrays import LIMITS
 from deep_contact.state.scales import FASTEST, mean, theta_tolerance
 
@@ -120,7 +119,7 @@ def test_the_thesis_scene_has_the_values_of_box2d_exactly(n):
     scene = dc.lattice_in_box(n)
     assert scene.scales == dc.BOX2D._replace(max_translation=FASTEST * scene.dt)
     for found in (scene, dc.drifting_circles(20)):
-        assert tolerance_of(found) == constants.THETA_TOLERANCE == for_state(dc.PGS(), found).tolerance
+        assert tolerance_of(found) == constants.THETA_TOLERANCE == dc.PGS().for_state(found).tolerance
 
 
 def test_scales_follow_mean_radius_gravity_mass_and_time_step():

@@ -2,7 +2,7 @@
 
 # The order of the imports is the order of `METHODS`.
 # isort: off
-from deep_contact.physics.solvers.registry import METHODS, Loop, describe, register, solver_from
+from deep_contact.physics.solvers.registry import METHODS, Loop, SolverOptions, describe, register, solver_from
 from deep_contact.physics.solvers.pgs import PGS
 from deep_contact.physics.solvers.batched import BatchedPGS
 from deep_contact.physics.solvers.psor import PSOR
@@ -11,5 +11,6 @@ from deep_contact.physics.solvers.nesterov import NesterovPGS
 # isort: on
 
 __all__ = [
-    "METHODS", "NNCG", "PGS", "PSOR", "BatchedPGS", "Loop", "NesterovPGS", "describe", "register", "solver_from",
+    "METHODS", "NNCG", "PGS", "PSOR", "BatchedPGS", "Loop", "NesterovPGS", "SolverOptions", "describe", "register",
+    "solver_from",
 ]  # fmt: skip

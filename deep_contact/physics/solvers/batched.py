@@ -36,8 +36,7 @@ from deep_contact.physics.position_correction import (
     take_centres,
 )
 from deep_contact.physics.segments import moved_segments, positions_before
-from deep_contact.physics.solvers.pgs import PGS
-from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
+from deep_contact.physics.solvers.registry import Loop, SolverOptions, register, tolerance_argument
 from deep_contact.physics.step import (
     DONE,
     FINITE,
@@ -54,10 +53,10 @@ from deep_contact.physics.substeps import fly_on, part_by_motion
 
 
 @dataclass(frozen=True, kw_only=True)
-class BatchedPGS(PGS):
+class BatchedPGS(SolverOptions):
     """Projected Gauss-Seidel in batches of contacts that share no circle, eight at a time: for large scenes.
 
-    The options are those of `PGS`. Position correction goes in the same batches.
+    The options are those of every solver (`SolverOptions`). Position correction goes in the same batches.
 
     Weakness: the order of the contacts is not that of the list, so it may need more sweeps than PGS. Finding the
     batches costs a part of each step in which contacts have changed, so few sweeps do not repay it.

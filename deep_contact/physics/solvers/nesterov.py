@@ -12,8 +12,7 @@ from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import CONTRACT, SUMS, sweep
 from deep_contact.physics.convergence import is_over
 from deep_contact.physics.solvers.nncg import make_directions
-from deep_contact.physics.solvers.pgs import PGS
-from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
+from deep_contact.physics.solvers.registry import Loop, SolverOptions, register, tolerance_argument
 
 FIRST_MOMENTUM = 0.9
 """Bound of the momentum β at the first sweep."""
@@ -29,11 +28,13 @@ SUDDEN_GROWTH = 1.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class NesterovPGS(PGS):
+class NesterovPGS(SolverOptions):
     """Projected Gauss-Seidel with Nesterov's momentum (Soviet Mathematics Doklady 27, 1983), restarted by the gradient
     scheme of O'Donoghue and Candès (Foundations of Computational Mathematics 15, 2015), with a bound on the momentum.
 
-    Options of `PGS`. Weakness: the bound adapts to what the last sweeps did, so it lags where contacts open and slip,
+    The options are those of every solver (`SolverOptions`).
+
+    Weakness: the bound adapts to what the last sweeps did, so it lags where contacts open and slip,
     and the error may grow for some sweeps. Fewer than ten sweeps gain little. With friction convergence is not proven,
     and θ does not fall with every sweep.
     """

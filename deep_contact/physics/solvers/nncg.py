@@ -11,16 +11,17 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import CONTRACT, SUMS, sweep
 from deep_contact.physics.convergence import is_over
-from deep_contact.physics.solvers.pgs import PGS
-from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
+from deep_contact.physics.solvers.registry import Loop, SolverOptions, register, tolerance_argument
 
 
 @dataclass(frozen=True, kw_only=True)
-class NNCG(PGS):
+class NNCG(SolverOptions):
     """Nonsmooth nonlinear conjugate gradient on PGS (Silcowitz, Niebe and Erleben, The Visual Computer 26, 2010).
 
-    Options of `PGS`. Each sweep's change is taken for a descent direction, and the directions are combined as by
-    Fletcher and Reeves. Weakness: θ does not fall with every sweep, so with fewer than ten sweeps PGS is the safer
+    Each sweep's change is taken for a descent direction, and the directions are combined as by Fletcher and Reeves. The
+    options are those of every solver (`SolverOptions`).
+
+    Weakness: θ does not fall with every sweep, so with fewer than ten sweeps PGS is the safer
     choice. The combination assumes that the sets of sticking, slipping and open contacts do not change; while they
     change it restarts often and is PGS at a higher cost. With friction convergence is not proven.
     """

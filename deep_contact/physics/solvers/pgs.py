@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import namedtuple
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from deep_contact import validation
@@ -11,68 +11,27 @@ from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import Rows, sweep
 from deep_contact.physics.convergence import is_over
 from deep_contact.physics.islands import make_islands_workspace, sort_by_island
-from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
-from deep_contact.state import State
-from deep_contact.state.scales import FOLLOWS_SCENE, theta_tolerance
-
-MOST_SWEEPS = 10_000_000
-"""Upper limit of every count: the θ of each sweep is kept, which takes 8 bytes."""
+from deep_contact.physics.solvers.registry import Loop, SolverOptions, register, tolerance_argument
 
 
 @dataclass(frozen=True, kw_only=True)
-class PGS:
+class PGS(SolverOptions):
     """Projected Gauss-Seidel, the thesis's Algorithm 1 with the friction row of Box2D beside every normal row.
 
-    sweeps: at most so many velocity sweeps. tolerance: stop once θ (the largest change of an impulse in the last
-    sweep, N·s) is no larger; None sweeps to the end, "scene" takes 6e-5 N·s times the scene's m g Δt over
-    the thesis's (`scales.theta_tolerance`). position_sweeps: at most so many sweeps of position correction.
-    islands: sweep each island on its own.
-    substeps: divide every step of a run into so many, each with sweeps and position sweeps of its own (Macklin et al.,
-    Small Steps in Physics Simulation, 2019). Contacts carry the impulses of the last one times their number, so that a
-    start fits any division of Δt; where that is a power of two, a run that is read back goes on bit for bit.
-    most_substeps: most substeps of a step in which something is about to hit, `substeps` times a power of two; by
-    default `substeps`. approach: how far what hits may move in a substep, in mean radii, which decides their number
-    (`physics.substeps`). A tolerance is that of the longest substep.
-    slop: penetration that position correction leaves alone, in units of the scene's (`scales`). With a small one and
-    one substep a pile may tremble; with a quarter, two substeps are enough.
+    islands: sweep each island on its own. Islands are stopped separately, which saves nothing for one pile, or without
+    a tolerance.
+    sweeps, tolerance: see `SweepOptions`.
+    position_sweeps, substeps, most_substeps, approach, slop: options of stepping, see `SolverOptions`.
 
     Weakness: it is slow, not unstable. Every sweep lowers the energy of the error, but information travels one contact
     a sweep, so the number of sweeps grows with the square of a pile's height and with the mass ratio.
-    Islands are stopped separately, which saves nothing for one pile, or without a tolerance. Only PGS has them.
     """
 
-    sweeps: int = 3000
-    tolerance: float | str | None = FOLLOWS_SCENE
-    position_sweeps: int = 10
     islands: bool = False
-    substeps: int = 1
-    most_substeps: int | None = None
-    approach: float = 0.03
-    slop: float = 1.0
 
     def __post_init__(self):
-        validation.integer("sweeps", self.sweeps, most=MOST_SWEEPS)
-        validation.integer("position_sweeps", self.position_sweeps, most=MOST_SWEEPS)
-        validation.integer("substeps", self.substeps, least=1, most=MOST_SWEEPS)
-        if self.most_substeps is not None:
-            most = validation.integer("most_substeps", self.most_substeps, least=self.substeps, most=MOST_SWEEPS)
-            parts, rest = divmod(most, self.substeps)
-            if rest or parts & (parts - 1):
-                raise ValueError(f"most_substeps: expected {self.substeps} times a power of two, got {most}")
-        validation.number("approach", self.approach, above=0)
-        validation.number("slop", self.slop, low=0, high=100)
-        if validation.flag("islands", self.islands) and type(self) is not PGS:
-            raise ValueError(f"islands: expected False, since {type(self).__name__} sweeps them together, got True")
-        if self.tolerance is not None and not (isinstance(self.tolerance, str) and self.tolerance == FOLLOWS_SCENE):
-            validation.number("tolerance", self.tolerance, low=0)
-
-    def for_state(self, state: State) -> PGS:
-        """The options with the tolerance of a substep in N·s, if it follows the scene."""
-        if self.tolerance != FOLLOWS_SCENE:
-            return self
-        bodies = state.bodies
-        tolerance_of_state = theta_tolerance(bodies.mass, bodies.radius, state.world.gravity, state.dt)
-        return replace(self, tolerance=tolerance_of_state / self.substeps)
+        super().__post_init__()
+        validation.flag("islands", self.islands)
 
 
 PGSSettings = namedtuple("PGSSettings", ["tolerance"])

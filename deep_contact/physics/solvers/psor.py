@@ -9,16 +9,15 @@ from deep_contact import validation
 from deep_contact.compiled import njit
 from deep_contact.physics.contact_solver import NORMAL_MASS, TANGENT_MASS, sweep
 from deep_contact.physics.convergence import is_over
-from deep_contact.physics.solvers.pgs import PGS
-from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
+from deep_contact.physics.solvers.registry import Loop, SolverOptions, register, tolerance_argument
 
 
 @dataclass(frozen=True, kw_only=True)
-class PSOR(PGS):
+class PSOR(SolverOptions):
     """Projected successive over-relaxation: PGS with every change of an impulse multiplied by ω.
 
     omega: ω, between 0 and 2. friction_omega: ω of the friction rows; None: the same. The other options are those of
-    `PGS`.
+    every solver (`SolverOptions`).
 
     Without friction it converges for 0 < ω < 2 (Cottle, Pang and Stone, The Linear Complementarity Problem, 1992,
     section 5.3); other values are refused. Weakness: with friction convergence is not proven. The bounds ±μ λ_n move

@@ -1,23 +1,97 @@
 """The registry of solvers: what a solver's options compile to.
 
-A solver is one file: its options (a frozen dataclass that tells its weakness and source), its settings (a named tuple:
-the options as compiled code takes them), its loop, and one call of `register`. The type of the settings picks the loop
-when the step is compiled, so a run with one solver never compiles another and decides nothing between steps. A solver
-from outside this package registers in the same way; `tests/physics/test_registry.py` has an example.
+A solver is one file: its options (a frozen dataclass, a subclass of `SolverOptions`, that tells its weakness and
+source), its settings (a named tuple: the options as compiled code takes them), its loop, and one call of `register`.
+The type of the settings picks the loop when the step is compiled, so a run with one solver never compiles another and
+decides nothing between steps. A solver from outside this package registers in the same way;
+`tests/physics/test_registry.py` has an example.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 from numba.extending import overload
 
+from deep_contact import validation
 from deep_contact.physics.convergence import mark_divergence
 from deep_contact.state import State
-from deep_contact.state.scales import FOLLOWS_SCENE
-from deep_contact.validation import one_of, suggesting
+from deep_contact.state.scales import FOLLOWS_SCENE, theta_tolerance
+from deep_contact.validation import expect, one_of, suggesting
+
+MOST_SWEEPS = 10_000_000
+"""Upper limit of every count: the θ of each sweep is kept, which takes 8 bytes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SweepOptions:
+    """When the velocity sweeps of a solve end.
+
+    sweeps: the most velocity sweeps of a solve.
+    tolerance: the sweeps end once θ, the largest change of an impulse in the last sweep, N·s, is no larger. None sweeps
+    to the end. "scene" takes 6e-5 N·s times the scene's m g Δt over the thesis's (`scales.theta_tolerance`).
+    Raises ValueError naming the option and its value.
+    """
+
+    sweeps: int = 3000
+    tolerance: float | str | None = FOLLOWS_SCENE
+
+    def __post_init__(self):
+        validation.integer("sweeps", self.sweeps, most=MOST_SWEEPS)
+        if self.tolerance is not None and not (isinstance(self.tolerance, str) and self.tolerance == FOLLOWS_SCENE):
+            validation.number("tolerance", self.tolerance, low=0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SolverOptions(SweepOptions):
+    """The base of the options of every solver: `SweepOptions`, and how a time step is divided around its solves.
+
+    position_sweeps: the most sweeps of position correction in a substep.
+    substeps: the number of substeps of every step of a run. Each has sweeps and position sweeps of its own (Macklin et
+    al., Small Steps in Physics Simulation, 2019). Contacts carry the impulses of the last substep times `substeps`, so
+    that a start fits any division of Δt. Where `substeps` is a power of two, a run that is read back goes on bit for
+    bit.
+    most_substeps: the most substeps of a step in which something is about to hit, `substeps` times a power of two; by
+    default `substeps`. A tolerance is that of the longest substep.
+    approach: how far what hits may move in a substep, in mean radii. It decides the number of substeps up to
+    `most_substeps` (`physics.substeps`).
+    slop: the penetration that position correction leaves alone, in units of the scene's (`scales`). With a small slop
+    and one substep a pile may tremble; with a quarter, two substeps are enough.
+    Raises ValueError naming the option and its value.
+    """
+
+    position_sweeps: int = 10
+    substeps: int = 1
+    most_substeps: int | None = None
+    approach: float = 0.03
+    slop: float = 1.0
+
+    def __post_init__(self):
+        super().__post_init__()
+        validation.integer("position_sweeps", self.position_sweeps, most=MOST_SWEEPS)
+        validation.integer("substeps", self.substeps, least=1, most=MOST_SWEEPS)
+        if self.most_substeps is not None:
+            most = validation.integer("most_substeps", self.most_substeps, least=self.substeps, most=MOST_SWEEPS)
+            parts, rest = divmod(most, self.substeps)
+            if rest or parts & (parts - 1):
+                raise ValueError(f"most_substeps: expected {self.substeps} times a power of two, got {most}")
+        validation.number("approach", self.approach, above=0)
+        validation.number("slop", self.slop, low=0, high=100)
+
+    @property
+    def motion_parts(self) -> int:
+        """The most parts into which motion divides each of the `substeps`: a power of two."""
+        return 1 if self.most_substeps is None else self.most_substeps // self.substeps
+
+    def for_state(self, state: State) -> SolverOptions:
+        """The options with the tolerance of a substep in N·s, if it follows the scene."""
+        if self.tolerance != FOLLOWS_SCENE:
+            return self
+        bodies = state.bodies
+        tolerance_of_state = theta_tolerance(bodies.mass, bodies.radius, state.world.gravity, state.dt)
+        return replace(self, tolerance=tolerance_of_state / self.substeps)
 
 
 class Loop(NamedTuple):
@@ -57,12 +131,14 @@ _LOOPS: dict[type, Loop] = {}
 
 
 def register(options: type, settings: Callable, loops: tuple[Loop, ...], *, advance: Callable | None = None) -> None:
-    """Make a solver known, under the name of its options. Raises ValueError if another solver has that name.
+    """Make a solver known, under the name of its options.
 
-    options: frozen dataclass with `sweeps`, `tolerance` and `position_sweeps`. settings: function of the
-    options -> NamedTuple of a type that one of the loops has. advance: function of the options -> function in place of
-    `engine.advance`, for a step of its own, which always has tangent rows and puts nothing to sleep.
+    options: frozen dataclass, a subclass of `SolverOptions`. settings: function of the options -> NamedTuple of a type
+    that one of the loops has. advance: function of the options -> function in place of `engine.advance`, for a step of
+    its own, which always has tangent rows and puts nothing to sleep.
+    Raises ValueError if another solver has that name, and where the options are not a subclass of `SolverOptions`.
     """
+    expect(issubclass(options, SolverOptions), f"options: expected a subclass of SolverOptions, got {options.__name__}")
     if METHODS.setdefault(options.__name__, options) is not options:
         raise ValueError(f"options: expected a new name, got {options.__name__}, which is {METHODS[options.__name__]}")
     _ENTRIES[suggesting(options)] = Entry(settings, advance)
@@ -80,33 +156,32 @@ def entry_of(solver) -> Entry:
     return entry
 
 
-def for_state(solver, state: State):
-    """The options with numbers in place of those that follow the scene, for those that have a `for_state`."""
-    return solver.for_state(state) if hasattr(solver, "for_state") else solver
-
-
 def tolerance_argument(solver) -> float:
     """The tolerance as compiled functions take it: −1, which is never met, in place of None.
 
     Raises ValueError where it follows the scene: `for_state` tells the number.
     """
     if solver.tolerance == FOLLOWS_SCENE:
-        raise ValueError(f"tolerance: expected a number or None, of for_state(solver, state), got {solver.tolerance!r}")
+        raise ValueError(f"tolerance: expected a number or None, of solver.for_state(state), got {solver.tolerance!r}")
     return -1.0 if solver.tolerance is None else float(solver.tolerance)
 
 
 def solver_from(method: str, options: Mapping):
     """The solver that a file names by its method and options.
 
-    Old files name a precision, which is always double, and threads, which change no bit.
+    Old files name a precision, which is always double, threads, which change no bit, and `islands` of solvers that do
+    not have it, which is always False.
 
     Raises ValueError for an unknown method, an unknown option, and what the method raises for its options.
     """
     one_of("precision", options.get("precision", "double"), ("double",))
     known = {name: value for name, value in options.items() if name not in ("precision", "threads")}
     kind = METHODS[one_of("method", method, METHODS)]
+    names = [field.name for field in fields(kind)]
+    if known.get("islands") is False and "islands" not in names:
+        del known["islands"]
     for name in known:
-        one_of(f"option of {method}", name, [field.name for field in fields(kind)])
+        one_of(f"option of {method}", name, names)
     return kind(**known)
 
 
