@@ -66,8 +66,8 @@ def fresh(code: str) -> dict:
     """Time, packages and memory of Python code in a process of its own.
 
     Returns {"seconds": without the interpreter's start, "heavy": packages that it loads, "memory_mb": largest resident
-    memory, with the interpreter's, or None where it is unknown}. (`getrusage` returns at least the
-    memory of the parent process.)
+    memory, with the interpreter's, or None where it is unknown}. (`getrusage` returns at least the memory of the parent
+    process.)
     """
     done = subprocess.run([sys.executable, "-c", _PROBE, code], stdout=subprocess.PIPE, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])
