@@ -3,10 +3,10 @@
 Runs every scripts/figure_*.py and scripts/table_*.py in the order of their numbers, and prints a summary. A failure
 does not stop the others.
 
-`--stale` lists the files of data/reference that other code or inputs made than today's, why, and their time then.
-`--references` makes these again: the cheap ones first, those that hold times last, on a machine that does nothing else,
-then the tables of the documentation. What is true is kept: the command goes on where it was stopped. Exit status: 0 if
-all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl-C.
+`--stale` lists the old files of data/reference, which other code or inputs than today's made: why each is old, and how
+long it took. `--references` makes these files again, the cheap ones first, those that hold times last, on a machine
+that does nothing else; then the tables of the documentation. A file that is true is kept, so the command goes on where
+it was stopped. Exit status: 0 if all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl-C.
 """
 
 import argparse
@@ -24,7 +24,7 @@ from deep_contact.reporting.results import REFERENCE
 from deep_contact.reporting.scripts import choose, find, stem
 
 INTERRUPTS = (INTERRUPTED, -signal.SIGINT)
-"""Exit status of a script that was ended by Ctrl-C, the second one before it could catch it."""
+"""Exit statuses of a script that Ctrl-C has ended; the second is that of a script that could not catch it yet."""
 
 HERE = Path(__file__).resolve().parent
 
@@ -80,12 +80,12 @@ def parse(arguments):
 
 
 def time_of(name, why):
-    """What it took to make a file of data/reference, s; nothing where it has only to be drawn again."""
+    """Time that a file of data/reference took, s; 0 where it has only to be drawn again."""
     return 0.0 if why == staleness.DRAWN else staleness.made(name)["wall_s"]
 
 
 def duration(seconds):
-    """Such as "2:40:00"."""
+    """A time in seconds as a text, such as "2:40:00"."""
     return str(timedelta(seconds=round(seconds)))
 
 

@@ -29,22 +29,22 @@ from deep_contact.studies import piles, timing
 POSITION_SWEEPS = 3
 """Most sweeps of position correction in a step."""
 FEW = 10
-"""Sweeps of a step as users do it."""
+"""Sweeps of a step as users choose them."""
 MANY = 100
 """Sweeps of a step whose time is nearly that of its sweeps."""
 BLOCKS = (FEW, MANY, MANY, FEW)
-"""Sweeps of the blocks of steps that are timed. In this order a pile's change while it falls cancels out."""
+"""Sweeps of the blocks of steps that are timed. In this order the change of a falling pile cancels out."""
 WARM_UP = 10
 """Steps of each engine before timing: caches, search for pairs and starting impulses settle."""
 
 
 def fixed_sweeps(sweeps: int, method=PGS, **options):
-    """A solver of exactly so many sweeps, and at most `POSITION_SWEEPS` of positions."""
+    """A solver of exactly `sweeps` sweeps, and at most `POSITION_SWEEPS` sweeps of position correction."""
     return method(sweeps=sweeps, tolerance=None, position_sweeps=POSITION_SWEEPS, **options)
 
 
 def made_pile(kind: str, n_bodies: int, seed: int) -> State:
-    """A pile with contacts. kind: "settled" or "falling", with a contact a circle."""
+    """A pile with contacts. kind: "settled", or "falling" with at least one contact per circle."""
     kind = {"settled": "resting"}.get(kind, kind)
     return piles.pile(kind, n_bodies, seed, solver=fixed_sweeps(FEW), most=3000, make=dc.lattice_in_box)
 
@@ -59,11 +59,11 @@ class Ours:
         self.state, self.options = state, options
 
     def run(self, steps: int, dt: float, sweeps: int, position_sweeps: int) -> None:
-        """So many steps, of the state's own Δt."""
+        """Do `steps` steps of the state's own Δt. dt and position_sweeps are ignored."""
         self.state = dc.simulate(self.state, steps=steps, solver=fixed_sweeps(sweeps, **self.options)).state
 
     def contact_count(self) -> int:
-        """Contacts at the positions now."""
+        """Number of contacts at the present positions."""
         return self.state.contacts.count
 
 
@@ -85,9 +85,9 @@ GOALS = {
 
 
 def costs(seconds: np.ndarray, contacts: np.ndarray, steps: int) -> dict[str, float]:
-    """The unknowns of: time of a step = overhead + cost · sweeps · contacts. seconds, contacts: of `BLOCKS`, (4,).
+    """Costs, fitted to: time of a step = overhead + cost · sweeps · contacts. seconds, contacts: of `BLOCKS`, (4,).
 
-    A sweep of Box2D v3 is a substep, which goes over the contacts twice; one of pymunk corrects positions as well.
+    A sweep of Box2D v3 is a substep, which goes over the contacts twice; a sweep of pymunk corrects positions as well.
     """
     few = np.array(BLOCKS) == FEW
     ends = ((sweeps * contacts[of].sum(), seconds[of].sum()) for sweeps, of in ((FEW, few), (MANY, ~few)))
@@ -129,10 +129,10 @@ def costs_of_engines(state: State, steps: int, repeats: int) -> dict[str, dict]:
 
 
 def engine(options, seed, jobs, progress):
-    """Ours and the peers on settled and falling piles."""
+    """Costs of ours and of the peers on settled and falling piles."""
     cases, names = [], ("sweep_ns", "overhead_us", "step_us")
     for n_bodies, kind in progress([*product(options["sizes"], ("settled", "falling"))], text="piles"):
-        # Long enough that the fixed cost of one `simulate` does not count; what falls has landed after a while.
+        # Enough steps that the fixed cost of a `simulate` does not count, and few where the pile would land.
         steps = int(np.clip(300_000 // n_bodies, 10, options["steps"][kind]))
         state = made_pile(kind, n_bodies, seed).replace(contacts=None, solver=None, solved=False)
         measured = costs_of_engines(state, steps, options["repeats"])
@@ -178,11 +178,11 @@ SCENES = {
     "hopper, fast": ("dc.hopper(100, opening=4.0)", "fast"),
     "drum, fast": ("dc.drum(100, froude=0.5)", "fast"),
 }
-"""What a new process does at first -> the scene, and the preset. The code has been compiled before."""
+"""First run of a new process -> its scene, and its preset. The code has been compiled before."""
 
 
 def ways_of(state: State, steps: int) -> dict:
-    """Name -> callable that does so many steps of a pile: ours in four ways, and each peer step by step."""
+    """Name -> callable that does `steps` steps of a pile: ours in four ways, and each peer step by step."""
     live, each = dc.Simulator(state, accuracy="fast"), [state]
 
     def one_by_one():
@@ -205,7 +205,7 @@ def ways_of(state: State, steps: int) -> dict:
 
 @contextmanager
 def beside(count: int):
-    """So many other processes that use a core each."""
+    """Run `count` other processes, each of which uses a core."""
     with ExitStack() as stack:
         for _ in range(count):
             busy = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
@@ -234,7 +234,7 @@ def live(options, seed, jobs, progress):
 
 
 def live_table(data):
-    """Microseconds of a step of every way; quiet: the least, beside others: the median."""
+    """Microseconds of a step in every way: the least on a quiet machine, the median beside busy processes."""
     rows = [[run["n_bodies"], run["busy"], *(f"{us[run['busy'] > 0]:,.1f}" for us in run["us"].values())]
             for run in data["runs"]]  # fmt: skip
     return [["circles", "busy processes", *(f"{way}, µs" for way in data["runs"][0]["us"])], *rows]
@@ -253,7 +253,7 @@ FIGURES = {
         quick={"sizes": [10], "busy": [0, 1], "work": 50, "repeats": 2, "first": []}, file="benchmark_live",
     ),
 }  # fmt: skip
-"""Name -> what is timed."""
+"""Name on the command line -> its figure."""
 
 if __name__ == "__main__":
     if sys.argv[1:2] and sys.argv[1] in FIGURES:

@@ -11,7 +11,7 @@ CENTRE = 1e-9
 
 
 def compute(options, seed, jobs, progress):
-    """dW/dx on the positive x axis; on the negative one its sign is the other."""
+    """dW/dx on the positive x axis; on the negative axis it has the opposite sign."""
     h = options["h"]
     x = np.concatenate([[CENTRE * h], np.linspace(0, 1.1 * h, options["points"])[1:]])
 

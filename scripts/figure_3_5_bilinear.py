@@ -29,7 +29,7 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """Eq 3.16 is right. Algorithm 4 should compute the same, but its matrix is transposed."""
+    """Eq 3.16 is right. Algorithm 4 should compute the same value, but its matrix is transposed."""
     equal = "Eq 3.16's matrix form equals two 1-D interpolations, and so does our gather"
     same = "Algorithm 4's matrix gives the same as Eq 3.16"
     for text, thesis, *names in ((equal, "Eq 3.16", "Eq 3.16", "gather"), (same, "Algorithm 4", "Algorithm 4")):

@@ -124,7 +124,7 @@ def draw(data, options):
 IMAGE = [[0, 0, 1, 2, 1, 0], [0, 1, 3, 4, 2, 0], [1, 2, 5, 3, 1, 1], [0, 3, 4, 2, 0, 2], [1, 1, 2, 0, 1, 3]]
 IMAGE += [[0, 0, 1, 1, 2, 4]]
 KERNEL = [[1, 0, -1], [2, 1, -2], [0, 1, -1]]
-"""No symmetry that would hide a flip."""
+"""A kernel without a symmetry that would hide a flip."""
 SIZES = [[32, 3, 1], [61, 3, 2], [61, 2, 2], [31, 2, 1], [16, 3, 2]]
 """Edge of the image, edge of the kernel, stride."""
 

@@ -17,7 +17,7 @@ NETWORK = "network"
 def compute(options, seed, jobs, progress):
     """The masses that enter, the strongest maps of some layers, the prediction, and the solution beside it.
 
-    These are of the first scene; the errors are of all.
+    The maps are those of the first scene; the errors are those of all scenes.
     """
     model = chapter_5.image_network(options["model"])
     states = [fallen(options, one) for one in progress(seeds(seed, options["scenes"]), text="scenes")]
@@ -53,7 +53,7 @@ def fallen(options, seed):
 
 
 def errors_of_grid(model, state):
-    """Errors of images, N·s, where the solution's has a value: those that the thesis's loss counts (Appendix B)."""
+    """Errors of images, N·s, at the nodes where the solution's image has a value, as in the loss of Appendix B."""
     contacts = state.contacts
     past = contacts._replace(normal_impulse=contacts.normal_start, tangent_impulse=contacts.tangent_start)
     true = label_image(state, model.spec)
@@ -79,7 +79,7 @@ def errors_at_contacts(model, path, state):
 
 
 def of_scenes(errors):
-    """Name -> one error a scene."""
+    """Name -> its errors, one for each scene."""
     errors = list(errors)
     return {name: [one[name] for one in errors] for name in errors[0]}
 
@@ -99,7 +99,7 @@ def claims(data):
 
 
 def relative(errors):
-    """Mean error over the scenes, over that of zero, which is the mean size of the solution."""
+    """Name -> its mean error, as a share of the error of zero, which is the mean size of the solution."""
     return {name: float(np.mean(one) / np.mean(errors["None"])) for name, one in errors.items()}
 
 

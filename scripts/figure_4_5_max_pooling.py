@@ -74,7 +74,7 @@ def draw(data, options):
 
 
 IMAGE = [[1, 3, 2, 1, 0], [4, 6, 5, 7, 2], [8, 2, 1, 0, 3], [3, -1, 4, 9, -5]]
-"""An odd number of columns: the thesis's 61 nodes are odd too."""
+"""An image with an odd number of columns, as the thesis's 61 nodes are odd."""
 
 OPTIONS = {"image": IMAGE, "nodes": 61, "poolings": 4, "channels": 512}
 FIGURE = Figure("4.5", "2 × 2 max pooling worked through", compute, None, draw, claims, options=OPTIONS)

@@ -9,10 +9,10 @@ from deep_contact.studies import chapter_5
 
 
 def compute(options, seed, jobs, progress):
-    """A small network with neurons left out; the trained one's maps and prediction, off and on."""
+    """A small network with neurons left out; maps and prediction of the trained network, with dropout off and on."""
     from deep_contact.cnn.backend import keras
 
-    keras.utils.set_random_seed(seed)  # of the masks
+    keras.utils.set_random_seed(seed)  # seed of the masks
     model = chapter_5.image_network(options["model"])
     network = model.network
     network.trainable = False  # with dropout at work, batch normalisation stays in inference
@@ -58,7 +58,7 @@ def compute(options, seed, jobs, progress):
 
 def claims(data):
     rate = data["rate"]
-    # Three standard deviations of the share dropped among so many independent values.
+    # Three standard deviations of the share dropped, the values being independent.
     allowed = float(3 * np.sqrt(rate * (1 - rate) / data["values"]))
     repeats = {"largest change of λ_n from run to run, off (N·s)": data["change off"], "on": data["change on"]}
     share = {"share dropped": data["dropped"], "rate": rate, "values": data["values"], "allowed": allowed}

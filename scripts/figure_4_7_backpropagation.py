@@ -5,7 +5,7 @@ import numpy as np
 from deep_contact.reporting import Claim, Figure, figures, plotting
 
 ROUNDING = 1e-12
-"""Largest relative difference that counts as none: of sums of a few products in float64."""
+"""Largest relative difference that counts as rounding, in sums of a few products in float64."""
 
 CLAIMS = {
     "Eq 4.12": ("Eq 4.11, Eq 4.12", "Eq 4.11 and 4.12: the chain rule for the output's weights"),
@@ -16,7 +16,7 @@ CLAIMS = {
     "Eq 4.18": ("Eq 4.18", "Eq 4.18: w_ij + 2 α e w_j x_i is the step of Eq 4.8"),
     "late": ("section 4.3.5", "the hidden weights can be updated by Eq 4.18 after the output's weights were"),
 }
-"""What is compared -> where the thesis says it, and what."""
+"""Name of a comparison -> its place in the thesis, and the statement there."""
 
 
 def backpropagate(x: np.ndarray, w_hidden: np.ndarray, w_output: np.ndarray, target: float) -> dict:
@@ -29,7 +29,7 @@ def backpropagate(x: np.ndarray, w_hidden: np.ndarray, w_output: np.ndarray, tar
     v = x @ w_hidden
     y = float(w_output @ v)
     e = float(target - y)
-    of_hidden = np.repeat(x[:, None], w_output.size, axis=1)  # of v_j by w_ij; the others are zero
+    of_hidden = np.repeat(x[:, None], w_output.size, axis=1)  # derivatives of v_j by w_ij; all others are zero
     chain = {"∂L/∂e": np.array(2 * e), "∂e/∂y": np.array(-1.0), "∂y/∂v": w_output, "∂y/∂w": v, "∂v/∂w": of_hidden}
     values = {"v": v, "y": y, "e": e, "loss": e**2, "chain": chain}
     return values | {"output": -2 * v * e, "hidden": -2 * e * np.outer(x, w_output)}

@@ -27,13 +27,14 @@ COLOURS = {"splat": plotting.SKY, "network": plotting.PURPLE, "gather": plotting
 """Stage of a step's contact solution (particles to image, image to image, image to contacts, sweeps) -> its colour."""
 
 CLOCK = {"reduce": np.median, "clock": process_time}
-"""Processor time of this process, so that what else runs is not counted; its networks run on one thread."""
+"""Clock of processor time, so that other programs do not count. The networks run on one thread of this process."""
 
 
 def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]:
-    """The stages of a start as calls that need none of each other: "splat", "network" and "gather", whose result it is.
+    """The stages of a start, as calls that can run alone: "splat", "network" and "gather", which returns the start.
 
-    The solution that SPH transfers is known, and rows have been built. A start without an image has no stages.
+    The solution that SPH transfers and the rows of the contact problem are not timed. A start without an image has no
+    stages.
     """
     if isinstance(start, Sph):
         impulses = np.column_stack(solved_impulses(state, PGS()))
@@ -54,8 +55,8 @@ def time_to_threshold(
     """Sweeps and seconds of the processor from each start to θ < `THRESHOLD`, on the same states.
 
     most: sweeps after which a start is given up. repeats: interleaved runs of every timing; their median counts.
-    Returns {name: {"sweeps": one a state, all of them where given up, "missed": states given up, "seconds": {stage: one
-    a state}}}; a start has the stages that it needs.
+    Returns {name: {"sweeps": a number for each state, `most` where the start is given up, "missed": number of states
+    where it is given up, "seconds": {stage: a time for each state}}}; a start has the stages that it needs.
     """
     solver = PGS(sweeps=most, tolerance=THRESHOLD)
     times = {name: {"sweeps": [], "missed": 0, "seconds": {}} for name in starts}
@@ -117,12 +118,12 @@ def compute(options, seed, jobs, progress):
 
 
 def by_scene(pile, values):
-    """Mean over each scene of one number a state."""
+    """Means over the states of each scene. values: a number for each state."""
     return np.bincount(pile["scene"], values) / np.bincount(pile["scene"])
 
 
 def missed(pile, name):
-    """How many states of a start do not reach the threshold; none of what is no start."""
+    """Number of states that do not reach the threshold from a start; 0 for a name that is no start."""
     return pile["starts"].get(name, {"missed": 0})["missed"]
 
 
@@ -132,12 +133,12 @@ def is_given_up(pile, name):
 
 
 def reached(pile, name):
-    """How many states of a start reach the threshold: "38 of 40"."""
+    """The states that reach the threshold from a start, as a text: "38 of 40"."""
     return f"{len(pile['scene']) - missed(pile, name)} of {len(pile['scene'])}"
 
 
 def times(pile, name):
-    """Milliseconds of each stage of a start, one a scene; 0 for a stage that it does not need."""
+    """Milliseconds of each stage of a start, one for each scene; 0 for a stage that the start does not need."""
     seconds = pile["starts"][name]["seconds"]
     none = np.zeros(len(pile["scene"]))
     return {stage: 1e3 * by_scene(pile, seconds.get(stage, none)) for stage in COLOURS}
@@ -150,7 +151,7 @@ def claims(data):
 
 
 def claims_of(pile, name, size, network):
-    """The thesis's claims for one network in one kind of pile. Of its own network the interpolation as well."""
+    """The thesis's claims on one network in one kind of pile; for the thesis's own network also on interpolation."""
     where = f"{size}, {chapter_5.label_of(network)}"
     ours, builtin = times(pile, name), times(pile, "builtin")
     sweeps = [by_scene(pile, pile["starts"][start]["sweeps"]) for start in (name, "builtin")]
@@ -177,8 +178,8 @@ def claims_of(pile, name, size, network):
 def open_where_capped(claim, states):
     """The claim; open where more sweeps of the solves that ended at the cap could change its verdict.
 
-    Such a solve counts with fewer sweeps and less time than it needs. So a ratio is above 1 for sure only if no second
-    solve ended at the cap, and below 1 only if no first one did.
+    Such a solve counts with fewer sweeps and less time than it needs. So a ratio is above 1 for sure only if no solve
+    of the second start ended at the cap, and below 1 only if no solve of the first start did.
     """
     first, second = (value for name, value in claim.measured.items() if name.startswith("solves at the cap"))
     _, low, high = claim.measured[verdicts.RATIO]
@@ -203,7 +204,7 @@ def table(data):
 
 
 def draw(data, options):
-    """A panel a size in which Builtin reaches θ: bars of the stages' mean times with the interval of the whole."""
+    """A panel for each size at which Builtin reaches θ: bars of the stages' mean times, and the interval of the sum."""
     solved = {size: pile for size, pile in data["piles"].items() if not is_given_up(pile, "builtin")} or data["piles"]
     figure, panels = plotting.subplots(1, len(solved), size=(8.0 + 2 * len(solved), 3.8), squeeze=False)
     for ax, (size, pile) in zip(panels[0], solved.items()):

@@ -14,9 +14,9 @@ from deep_contact.studies import starts, verdicts
 
 
 def compute(options, seed, jobs, progress):
-    """Of each scene the contacts of every step, and the times of some solutions with a fixed number of sweeps.
+    """The contacts of every step of each scene, and the times of some solutions with a fixed number of sweeps.
 
-    The time is that of one thread of the processor: what else runs is not counted.
+    The time is that of one thread of the processor, so that other programs do not count.
     """
     scenes = []
     solve = partial(dc.solve_contacts, solver=dc.PGS(sweeps=options["sweeps"], tolerance=None))
@@ -44,9 +44,10 @@ def fit(scene):
 
 
 def cost(scene, end):
-    """Median time of a contact, ms, among few (`end` is `min`) or many (`max`): a quarter of the most contacts each.
+    """Median time of a contact, ms, in states with few contacts (`end` is `min`) or many (`max`).
 
-    The few are those of the second quarter, where the overhead of a call no longer counts.
+    "Few" is the second quarter of the largest number of contacts, in which the overhead of a call no longer counts;
+    "many" is the last quarter.
     """
     contacts, time = np.array(scene["timed contacts"]), np.array(scene["time (ms)"])
     quarter = np.ceil(4 * contacts / contacts.max())

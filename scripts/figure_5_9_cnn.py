@@ -12,7 +12,7 @@ TITLE = "Does a network's start converge like SPH's?"
 
 
 CLOSE = (0.5, 2.0)
-"""Range of θ over θ of two starts that count as similar."""
+"""Range of the ratio of θ for two starts that count as similar."""
 
 
 PLACE = "section 5.4, Figure 5.9"
@@ -21,8 +21,8 @@ PLACE = "section 5.4, Figure 5.9"
 def claims_of_network(data: Mapping, name: str) -> Iterator[Claim]:
     """The thesis's claims on Figure 5.9 for one network.
 
-    data: of `starts.compare_starts` with the starts "none", "builtin", those of `READ`, "copy" and this one, with the
-    cards of the networks (`chapter_5.networks_info`) under "networks".
+    data: result of `starts.compare_starts` for the starts "none", "builtin", those of `READ`, "copy" and this network,
+    with the cards of the networks (`chapter_5.networks_info`) under "networks".
     """
     network = data["networks"][name]
 

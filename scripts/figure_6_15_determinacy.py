@@ -23,13 +23,14 @@ PILE = "kind", "n_bodies", "friction", "smallest"
 
 
 SWEEPS = 20_000
-"""Of a solver that makes a label."""
+"""Number of sweeps of a solver that makes a label."""
 
 
 def packed(kind: str, n_bodies: int, friction: float, smallest: float, seed: int) -> StateWithContacts:
-    """A packing after 51 steps ("settling"), or at a rms speed below 1e-3 m/s or after 1,050 ("resting").
+    """A pile. kind: "settling", a packing after 51 steps; "resting", a packing at rest; "thesis", its scene at rest.
 
-    smallest: radius, m; the largest is 1 m. "thesis": the thesis's scene, of one radius, likewise, or after 1,600.
+    A pile counts as at rest below a root mean square speed of 1e-3 m/s, else after 1,050 steps ("thesis": 1,600).
+    smallest: least radius of a packing, m; the largest is 1 m. The thesis's scene has one radius.
     """
     if kind == "thesis":
         scene, first = circles_in_box(n_bodies=n_bodies, friction=friction, seed=seed), 600
@@ -48,10 +49,11 @@ def packed(kind: str, n_bodies: int, friction: float, smallest: float, seed: int
 def measure(past: StateWithContacts, contacts: int, seed: int, models: list[str]) -> dict:
     """Intervals of λ_n of a pile's next step, over the mean λ_n, and the errors of other answers.
 
-    contacts: how many are drawn, for the intervals. models: networks that correct a past, but for the last, which
-    corrects a support. Returns "exact": whether an exact motion was found, "fastest": speed of its circles, m/s,
-    "widths", and with models "errors": answer → median distance of λ_n from the exact solution that the pile's past
-    leads to, over the mean λ_n, and the velocity error, in which other impulses with its motion have none.
+    contacts: number of contacts, drawn at random, whose intervals are computed. models: names of networks; all correct
+    the impulses of a step before, but the last, which corrects a support. Returns "exact": whether an exact solution
+    was found, "fastest": largest speed of its circles, m/s, "widths" of the intervals over the mean λ_n, and with
+    models "errors": answer → median distance of λ_n from the exact solution to which the pile's past leads, over the
+    mean λ_n, and the velocity error, which is 0 for any impulses with the motion of that solution.
     """
     exact = solve_exactly(past)
     if not exact.converged:
@@ -85,7 +87,7 @@ def measure(past: StateWithContacts, contacts: int, seed: int, models: list[str]
 
 
 def cells(options):
-    """Panel → piles (kind, circles, μ, smallest radius), all beside one of them."""
+    """Panel → its piles (kind, circles, μ, smallest radius), which differ in one property."""
     n, mu, radius = options["sizes"][0], options["friction"], options["smallest"][0]
     return {
         "friction μ": [("resting", n, other, radius) for other in sorted(options["frictions"])],
@@ -97,7 +99,7 @@ def cells(options):
 
 
 def compute(options, seed, jobs, progress):
-    """The intervals of all piles, and the errors of answers for those of the thesis's scene."""
+    """The intervals of all piles, and the errors of answers for the piles of the thesis's scene."""
     tasks = [
         (pile, options["contacts"], s, options["models"] if pile[0] == "thesis" else [])
         for pile in dict.fromkeys(chain(*cells(options).values()))
@@ -129,7 +131,10 @@ def name_of(pile):
 
 
 def claims(data):
-    """With friction much is open; without it, what contacts within the slop carry beyond two a circle."""
+    """With friction the motion leaves much of λ open.
+
+    Without friction it leaves open what contacts within the slop carry, where there are over two for each circle.
+    """
     piles = dict.fromkeys(tuple(pile[key] for key in PILE) for pile in data["piles"] if pile["exact"])
     medians = {pile: np.median(widths(data, pile), axis=0) for pile in piles}
     smooth = [row.max() for pile, row in medians.items() if pile[2] == 0]

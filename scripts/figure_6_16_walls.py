@@ -20,7 +20,7 @@ SCENES = {
     "hopper": (hopper, {}),
 }
 KNOBS = {"pymunk": {"slop": 0.25}, "Box2D 2.3": {"position_sweeps": 3}, "Box2D v3": {"hertz": 120.0}}
-"""A setting that made each engine cheaper on plain piles; every budget is run with it and without."""
+"""Engine -> option that made it cheaper on plain piles; every budget is run with this option and without."""
 
 
 def scene(name, n_bodies, seed):
@@ -38,13 +38,13 @@ def settings_of(start):
 
 
 def compute(options, seed, jobs, progress):
-    """Rows and presets of every scene. Finished parts are kept in the folder `work`: a run of one commit goes on."""
+    """Rows and presets of every scene. Finished parts stay in the folder `work`: a run of the same commit goes on."""
     cases = [(name, int(n)) for n, names in options["scenes"].items() for name in names]
     return {"scenes": [measure(*case, options, seed, jobs) for case in progress(cases, text="scenes")]}
 
 
 def measure(name, n, options, seed, jobs):
-    """The rows and presets of a scene of n circles, as of the study of runs, and what `accuracy=` takes by name."""
+    """Rows and presets of a scene of n circles, as in the study of runs, and the settings that `accuracy=` takes."""
     start, common = scene(name, n, seed), {"work": Path(options["work"]), "seconds": options["seconds"], "seed": seed}
     cases = {(name, n, trade.name_of(one, start.dt)): (one, options["seeds"][str(n)]) for one in settings_of(start)}
     _, *others = runs.observed_rows(scene, cases, **common, jobs=jobs).items()
@@ -61,9 +61,9 @@ def worst(row, preset, at=0):
 
 
 def verdict(one, preset):
-    """[ratio, low, high] where both keep a preset; else who does: "ours", "undecided", "a rival" or "none".
+    """[ratio, low, high] where ours and a rival keep a preset; else "ours", "undecided", "a rival" or "none" keeps it.
 
-    Undecided: ours does, and a rival at the lower ends of its errors.
+    "undecided": ours keeps the preset, and a rival keeps it at the lower ends of its errors.
     """
     row = one["presets"][list(PRESETS).index(preset)]
     mine, theirs = row["kinds"]["plain"], [other for other in one["rows"] if "engine" in other["setting"]]
@@ -75,7 +75,7 @@ def verdict(one, preset):
 
 
 def claims(data):
-    """Of each size: the ratios, who alone keeps a preset, and whether what `accuracy=` takes does."""
+    """For each size: the ratios, who alone keeps a preset, and whether the setting of `accuracy=` keeps its preset."""
     for n in runs.sizes_of(data["scenes"]):
         cells = {f"{one['scene']}, {preset}": (one, preset) for one in data["scenes"] if one["n_bodies"] == n
                  for preset in PRESETS}  # fmt: skip
@@ -101,7 +101,7 @@ def claims(data):
 
 
 def table(data):
-    """Of each scene and size: ratios by preset, or who keeps it (`verdict`)."""
+    """For each scene and size: the ratio at each preset, or who keeps the preset (`verdict`)."""
     rows = [["circles", "scene", *PRESETS]]
     for one in data["scenes"]:
         rows.append([one["n_bodies"], one["scene"], *(cell(verdict(one, preset)) for preset in PRESETS)])
@@ -117,7 +117,7 @@ def cell(one):
 
 
 def draw(data, options):
-    """A panel a size, a line a scene: ratio of times with its interval, a colour a preset; an arrow: ours alone."""
+    """Ratios of times with their intervals: panels are sizes, lines scenes, colours presets. An arrow: ours alone."""
     sizes, names = runs.sizes_of(data["scenes"]), list(dict.fromkeys(one["scene"] for one in data["scenes"]))
     size = (plotting.PAGE, 0.7 * len(names) + 1.3)
     figure, panels = plotting.subplots(1, len(sizes), size=size, squeeze=False, sharey=True)

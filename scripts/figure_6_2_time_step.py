@@ -26,13 +26,13 @@ def compute(options, seed, jobs, progress):
 
 
 def by_size(data):
-    """Number of circles -> its rows, the shortest step first, of steps that the reference can judge: longer ones."""
+    """Number of circles -> its rows with steps that are no shorter than the reference's, the shortest step first."""
     rows = sorted((row for row in data["rows"] if not is_below(row)), key=lambda row: row["dt"])
     return {n: [row for row in rows if row["n_bodies"] == n] for n in runs.sizes_of(rows)}
 
 
 def is_below(row):
-    """Whether a row has a shorter step than the reference: its error is rather the reference's."""
+    """Whether a row has a shorter step than the reference, so that its error is mainly the reference's."""
     return row["dt"] < runs.REFERENCE["dt"]
 
 

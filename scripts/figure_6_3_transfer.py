@@ -24,13 +24,13 @@ WAYS = {
     "authors' spline": ("spline", "bilinear", plotting.SKY, "s", "-"),
     "authors' sharing": ("shared", "bilinear", plotting.SHARING, "D", "-."),
 }
-"""Name -> transfer, and how the thesis's reads back; colour, marker and line ("thesis", "consistent": the starts')."""
+"""Name -> transfer, method of the thesis's transfer for reading back, colour, marker and line."""
 
 
 def compute(options, seed, jobs, progress):
     """Relative loss of isolated contacts and of piles for every kernel, d, h and way; and by d for mixed radii.
 
-    "by scene" has the losses that the thesis speaks of, one a scene of equal circles.
+    "by scene" has the losses that the thesis speaks of, one for each scene of equal circles.
     """
     seeds, n = [seed, *parallel.seeds(seed, options["scenes"] - 1)], options["n_bodies"]
 
@@ -90,7 +90,7 @@ CLAIMS = [
     ("the authors' sharing loses less than our consistent transfer",
      "authors' sharing", "consistent", None, verdicts.FASTER),
 ]  # fmt: skip
-"""Text, the loss that is judged and the one that it is divided by (None: none), where the thesis says so, the range."""
+"""Text, the loss that is judged, the loss that divides it or None, the place in the thesis or None, the range."""
 
 
 def claims(data):
@@ -120,7 +120,7 @@ def table(data):
 def draw(data, options):
     """Relative error of the impulses by d = h for every way, in piles of equal circles and of mixed radii.
 
-    The axis is linear: what is left over a tenth matters to a start, not how small a small loss is (the table has it).
+    The axis is linear: a loss above a tenth matters to a start, the size of a small loss does not (the table has it).
     """
     figure, panels = plotting.subplots(1, 2, size=(plotting.PAGE, 3.8), sharey=True)
     titles = {"equal": "circles of radius 1 m", "mixed": "radii from 0.5 to 2 m"}

@@ -17,7 +17,7 @@ MILD_START = 1e12
 
 
 def compute(options, seed, jobs, progress):
-    """Every value of every quantity, or every other one, in every engine that has it."""
+    """Every value of every quantity, or every other value if "few", in every engine that has the quantity."""
     cases, units = [], {}
     for name in options["quantities"]:
         units[name], values, _ = QUANTITIES[one_of("quantities", name, QUANTITIES)]
@@ -55,7 +55,7 @@ def claims(data):
 
 
 def by_quantity(data):
-    """quantity -> engine -> its cells, by rising value; none of an engine that does not have the quantity."""
+    """quantity -> engine -> its cells, by rising value; no cells for an engine without the quantity."""
     grouped = {name: {engine: [] for engine in ENGINES} for name in data["units"]}
     for cell in sorted(data["cells"], key=lambda cell: cell["value"]):
         grouped[cell["quantity"]][cell["engine"]].append(cell)
@@ -70,7 +70,7 @@ def ranges(cells, verdict):
 
 
 def spread(cells, key):
-    """[least, median, largest] of a number over the scenes that were run to the end; None where there are none."""
+    """[least, median, largest] of a number over the scenes that were run to the end; None without such a scene."""
     kept = [cell[key] for cell in cells if cell["verdict"] in (SAFE, DEGRADED) and cell[key] is not None]
     return [float(value) for value in np.percentile(kept, (0, 50, 100))] if kept else None
 

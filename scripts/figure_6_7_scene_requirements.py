@@ -23,18 +23,18 @@ FEW = 10
 """Sweeps of the shorter of two solves, whose difference is the time of a sweep."""
 
 ENOUGH = 1_000_000
-"""Relaxations of a contact that the longer one does more."""
+"""Relaxations of contacts by which the longer solve exceeds the shorter one."""
 
 
 STEP = PGS(sweeps=10, tolerance=None)
-"""The step whose parts are compared."""
+"""Solver of the steps whose parts are compared."""
 
 SCATTERED = {"size": (300.0, 30.0), "sigma_coef": 5.0}
 """A box in which circles fall into many heaps."""
 
 
 interleaved = functools.partial(timing.interleaved, reduce=np.array, clock=time.thread_time)
-"""Name -> times of all repeats, (repeats,), s, that this thread works: other programs and waiting do not count."""
+"""Name -> processor times of this thread in all repeats, (repeats,), s: other programs and waiting do not count."""
 
 
 def at_rest(scene: State) -> State:
@@ -61,7 +61,8 @@ def ratio(general: np.ndarray, special: np.ndarray) -> dict[str, float]:
 def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
     """What rows without tangents save a sweep of a resting pile, ns per contact and sweep.
 
-    "apart": what it changes in so many steps. Friction of 1e-300 needs tangent rows, and moves nothing.
+    "apart": how far circles are apart after `steps` steps with and without tangents, m. Friction of 1e-300 needs
+    tangent rows, and moves nothing.
     """
     pile = ready(at_rest(piles.scene(n_bodies, seed)))
     contacts = pile.contacts._replace(tangent_start=np.zeros(pile.contacts.count))
@@ -85,7 +86,7 @@ def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
 def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
     """What being awake and position correction cost a resting pile, s per step of `STEP`.
 
-    "apart": what leaving a part out changes in so many steps.
+    "apart": how far circles are apart after `steps` steps with and without the part, m.
     """
     pile = at_rest(piles.scene(n_bodies, seed))
     ways = {
@@ -120,7 +121,7 @@ def island_savings(scene: State, *, steps: int, every: int) -> dict:
 
 
 def saving_by_scene(runs: list[dict], unit: str) -> dict:
-    """The saving in the runs of `island_savings`, of "relaxations" or "seconds". "apart" is that of one step."""
+    """The saving in the runs of `island_savings`, of "relaxations" or "seconds". "apart", m, is that after one step."""
     general, special = np.array([run[unit] for run in runs], dtype=float).T
     return ratio(general, special) | {"apart": constants.TIME_STEP * max(run["difference"] for run in runs)}
 
@@ -132,11 +133,11 @@ JOBS = {
     "predict": "import deep_contact as dc; state = dc.simulate(dc.column(10), steps=1).state; "
     "dc.load_model('far field').predict(state)",
 }
-"""Job -> the code of it."""
+"""Job -> its code."""
 
 
 def job(name: str) -> dict:
-    """What `timing.fresh` says of a job, after a first process has filled the caches."""
+    """The result of `timing.fresh` for a job, after a first process has filled the caches."""
     timing.fresh(JOBS[name])
     return timing.fresh(JOBS[name])
 
@@ -149,13 +150,13 @@ NAMES = {
     "islands, heaps": ("islands, scattered heaps: relaxations", ""),
     "islands, heaps, time": ("islands, scattered heaps: time", "ms"),
 }
-"""Saving -> in words, unit of what is paid with and without it. That of a sweep is named by its number of circles."""
+"""Saving -> its name in words, and the unit of its costs. The saving of a sweep is named by the number of circles."""
 
 PER_SECOND = {"µs": 1e6, "ms": 1e3}
-"""Unit of a time -> how many a second has. A sweep is stored in ns."""
+"""Unit of a time -> number of units in a second. The time of a sweep is stored in ns."""
 
 SMALLEST = 1e-15
-"""Where no difference is drawn, m."""
+"""A difference of 0 is drawn at this value, m."""
 
 CONTEXTS = {"islands, one pile": ("the thesis's scene", {}), "islands, heaps": ("scattered heaps", SCATTERED)}
 """Saving of islands -> the scenes in words, and their options."""
@@ -205,7 +206,7 @@ def named_savings(data):
 
 
 def table(data):
-    """With and without each saving; a job is a process of its own."""
+    """Costs with and without each saving, and the time of each job, which is a process of its own."""
     rows = [["what", "times cheaper", "quartiles", "apart, m", "general", "special", "unit"]]
     for name, unit, one in named_savings(data):
         paid = [PER_SECOND.get(unit, 1) * one[which] for which in ("general", "special")]
@@ -216,7 +217,7 @@ def table(data):
 
 
 def draw(data, options):
-    """Left: how many times cheaper each saving is, with quartiles. Right: what it changes in where circles are."""
+    """Left: how many times cheaper each saving is, with quartiles. Right: how far it moves circles."""
     rows = named_savings(data)
     figure, (left, right) = plotting.subplots(
         1, 2, size=(plotting.PAGE, 0.3 * len(rows) + 1.2), sharey=True, width_ratios=(1.6, 1)

@@ -53,7 +53,7 @@ def settings_with(starts: Iterable[str]) -> dict:
 
 
 def errors_of(state: State, impulses: Mapping, settings: Mapping, sweeps: Sequence, solution: ContactSolution) -> dict:
-    """Setting -> velocity errors after so many sweeps. impulses: start -> its impulses."""
+    """Setting -> velocity errors after each number of `sweeps`. impulses: start -> its impulses."""
     errors = {}
     for name, (start, solver) in settings.items():
         ends = (solve(state, replace(solver, sweeps=k, tolerance=None), *impulses[start]) for k in sweeps)
@@ -63,7 +63,7 @@ def errors_of(state: State, impulses: Mapping, settings: Mapping, sweeps: Sequen
 
 def compute(options, seed, jobs, progress):
     """Every start with every solver on the same states of held-out scenes."""
-    integer("scenes", options["scenes"], least=2)  # one has no interval
+    integer("scenes", options["scenes"], least=2)  # a single scene has no interval
     starts = {name: name for name in CLASSICAL} | {LEARNED: {"model": options["model"]}}
     tasks = [{**options, "starts": starts, "seed": s} for s in parallel.seeds(seed + 10_000, options["scenes"])]
     scenes = parallel.parallel_map(errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
@@ -73,9 +73,9 @@ def compute(options, seed, jobs, progress):
 def errors_on_scene(task: Mapping) -> dict:
     """Errors of starts with all of `SOLVERS` on the same states of a scene of the thesis, with μ = 0.3.
 
-    The training data have 0.5. task: a dict. "starts": name -> description (`start_of`), with "builtin" among them.
-    "seed" and "steps": of the scene. "every": one in so many steps is measured. "after": numbers of sweeps after which
-    errors are measured. Returns {"step": (states,), "errors": {setting: (states, len(after))}}.
+    The training data have μ = 0.5. task: a dict. "starts": name -> description (`start_of`), with "builtin" among them.
+    "seed" and "steps": of the scene. "every": number of steps from one measured state to the next. "after": numbers of
+    sweeps after which errors are measured. Returns {"step": (states,), "errors": {setting: (states, len(after))}}.
     """
     starts = {name: start_of(description) for name, description in task["starts"].items()}
     rng, settings = np.random.default_rng(task["seed"]), settings_with(starts)
@@ -85,7 +85,7 @@ def errors_on_scene(task: Mapping) -> dict:
         solution = solve(state, REFERENCE, state.contacts.normal_impulse, state.contacts.tangent_impulse)
         impulses = {name: start(state, PGS()) for name, start in starts.items()}
         errors = errors_of(state, impulses, settings, task["after"], solution)
-        if np.isfinite(list(errors.values())).all():  # not where contacts have nothing to solve
+        if np.isfinite(list(errors.values())).all():  # not finite where contacts have nothing to solve
             solved["step"].append(state.step)
             for name, values in errors.items():
                 solved["errors"][name].append(values)
@@ -107,7 +107,7 @@ def mean_errors(scenes: Sequence[Mapping], setting: str, where: str = "all") -> 
 
 
 def best_settings(scenes: Sequence[Mapping], starts: Sequence[str], where: str = "all") -> list[str]:
-    """For each number of sweeps the setting of some starts with the least mean error."""
+    """For each number of sweeps the setting with the least mean error, among the settings of some starts."""
     names = [name for name in settings_with(starts) if name in scenes[0]["errors"]]
     means = np.array([mean_errors(scenes, name, where).mean(axis=0) for name in names])
     return [names[i] for i in means.argmin(axis=0)]

@@ -1,9 +1,9 @@
 """The data sets: simulations of the thesis's scene, every solved state kept; and packed piles without a past.
 
-data/README.md says what is made: <out>/sim_0000.h5, …, and with --xml every state as
-<out>/xml/sim_0000/sim_0000_<step>.xml. --quick makes four short simulations of few circles, in <out>/quick, --packings
-the data of the start `far field, no past`: four states of a pile that settles, whose contacts start from the support;
-five eighths of the piles have 50 to 3,000 circles, the others 600 to 6,000.
+data/README.md describes the files: <out>/sim_0000.h5, …, and with --xml every state as
+<out>/xml/sim_0000/sim_0000_<step>.xml. --quick makes four short simulations of few circles, in <out>/quick. --packings
+makes the data of the start `far field, no past`: each simulation is four states of a pile that settles, whose contacts
+start from the support. Five eighths of the piles have 50 to 3,000 circles, the others 600 to 6,000.
 
 Simulation i depends on the seed and on i only: the same bits for any number of simulations or jobs. The script can be
 stopped at any moment and started again: finished simulations stay, unfinished ones leave nothing behind.
@@ -32,7 +32,7 @@ from deep_contact.physics import metrics
 from deep_contact.studies.piles import SETTLE, packing, without_past
 
 SOLVER = dc.PGS(sweeps=5000, tolerance=constants.THETA_TOLERANCE)
-"""As in the thesis's generator; states that need more sweeps are kept as they are."""
+"""Solver of the thesis's generator; states that need more sweeps are kept as they are."""
 
 FULL = {"simulations": 150, "steps": 600, "bodies": (70, 110)}
 QUICK = {"simulations": 4, "steps": 200, "bodies": (20, 30)}
@@ -47,7 +47,7 @@ UNSOLVED = 1e-2
 """Residual of a solution beyond which a state of a packing is left out, m/s."""
 
 SAMPLE_SEED = 2019
-"""Of the tracked sample, so that no data set with the default seed contains it."""
+"""Seed of the tracked sample, which no data set with the default seed contains."""
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def missing(jobs: list[Job]) -> list[Job]:
 
 
 def positive(text: str, least: int = 1) -> int:
-    """An option's integer."""
+    """The integer in an option's text, refused below `least`."""
     if int(text) < least:
         raise argparse.ArgumentTypeError(f"expected an integer >= {least}, got {text}")
     return int(text)

@@ -2,10 +2,10 @@
 
 For each state file: <out>/<name>.csv with the impulses at the contacts, predicted, from Builtin where the file has
 them, and solved where it has the solution; <out>/<name>.npy with the predicted image, of impulses or of the
-coefficients that correct a start; <out>/<name>.png with the impulses in the scene. The model is by default "model",
-the thesis's network, for boxes of 30 m × 30 m; it needs Keras. "far field" takes any box: it corrects Builtin's
-impulses. "far field, no past" is for files without impulses: it corrects the start "support". Predictions are
-projected on the friction cone. The velocity errors of the solver from them and from Builtin are printed.
+coefficients that correct a start; <out>/<name>.png with the impulses in the scene. The default model is "model", the
+thesis's network, for boxes of 30 m × 30 m; it needs Keras. "far field" takes any box: it corrects Builtin's impulses.
+"far field, no past" is for files without impulses: it corrects the start "support". Predictions are projected on the
+friction cone. The velocity errors of the solver after some sweeps from the predictions and from Builtin are printed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from deep_contact.reporting import plotting
 
 
 def contact_table(state, predicted, file) -> None:
-    """Write a CSV with a row for each contact: places, predicted impulses, Builtin's and solved ones if there are."""
+    """Write a CSV with a row for each contact: places, predicted impulses, Builtin's and solved ones if known."""
     c = state.contacts
     columns = dict(zip("body_a body_b x y n_x n_y".split(), [c.body_a, c.body_b, *c.position.T, *c.normal.T]))
     columns |= dict(zip(("predicted_n", "predicted_t"), predicted))
@@ -52,7 +52,10 @@ def picture(state, predicted):
 
 
 def report(state, predicted, builtin: str) -> list[str]:
-    """Lines on a state: what was predicted, and the errors after some sweeps from there and from its start's name."""
+    """Lines on a state: the predicted impulses, and the errors after some sweeps from them and from its own start.
+
+    builtin: the name of that start.
+    """
     contacts = state.contacts
     lines = [f"{state.name}, step {state.step}: {state.bodies.count} circles, {contacts.count} contacts"]
     lines.append(f"  predicted λ_n from {predicted[0].min():.4g} to {predicted[0].max():.4g} N·s")

@@ -6,7 +6,7 @@ import deep_contact as dc
 from deep_contact.reporting import film
 
 STEPS = 400
-"""Of the run."""
+"""Number of steps of the run."""
 
 EVERY = 8
 """Steps from one image to the next."""

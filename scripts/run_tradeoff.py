@@ -26,9 +26,9 @@ from deep_contact.validation import expect
 
 
 def settings(budgets: dict, **options) -> list[dict]:
-    """Settings with these options. budgets: substeps of 0.01 s -> numbers of sweeps.
+    """A setting with these options for each number of sweeps. budgets: substeps of 0.01 s -> numbers of sweeps.
 
-    Substeps that follow the motion are (fewest, most, slop).
+    Substeps that follow the motion are given as (fewest, most, slop).
     """
     listed = []
     for substeps, sweeps in budgets.items():
@@ -63,7 +63,7 @@ LARGE = [
     *settings({1: (6, 10), 2: (5, 10), 4: (3, 5), (1, 8, 0.5): (6, 10)}, **COLOURS, **FEW),
     *settings({HALF: (5, 10), QUARTER: (5, 10)}, **COLOURS, **FEW),
 ]
-"""The same from 3,000 circles on."""
+"""Settings of most kinds of scenes from 3,000 circles on."""
 
 DENSE = [
     *SMALL,
@@ -75,27 +75,27 @@ DENSE = [
     *settings({HALF: (10, 20, 40), QUARTER: (10, 20, 40)}, **COLOURS, **FEW),
     *settings({HALF: (20,), QUARTER: (20, 40), (8, 32, 0.25): (10,)}, **COLOURS, **NEAR),
 ]
-"""For `runs.DENSE_KINDS`: more sweeps in more substeps."""
+"""Settings for `runs.DENSE_KINDS`: more sweeps in more substeps."""
 
 DENSE_LARGE = [
     *settings({1: (10, 20), 2: (10, 20), 4: (10, 20), 8: (10, 20, 40)}, **COLOURS, **FEW),
     *settings({HALF: (10, 20), QUARTER: (5, 10, 20, 40), (8, 32, 0.25): (20,)}, **COLOURS, **FEW),
     *settings({HALF: (20,), QUARTER: (20, 40), (8, 32, 0.25): (10, 40)}, **COLOURS, **NEAR),
 ]
-"""The same from 3,000 circles on."""
+"""Settings for `runs.DENSE_KINDS` from 3,000 circles on."""
 
 LARGEST = [
     *settings({2: (5, 10), 4: (5,), HALF: (10,), QUARTER: (5, 10)}, **COLOURS, **FEW),
     *settings({QUARTER: (10,)}, **COLOURS),
     *settings({(1, 16, 0.25): (20,)}, **COLOURS, **NEAR),
 ]
-"""With 10,000 circles: those of `LARGE` that keep a preset most cheaply with 3,000, or nearly."""
+"""Settings with 10,000 circles: those of `LARGE` that keep a preset most cheaply with 3,000, or nearly."""
 
 DENSE_LARGEST = [
     *settings({2: (20,), 4: (10, 20), 8: (20,), QUARTER: (10, 20)}, **COLOURS, **FEW),
     *settings({QUARTER: (20,), (8, 32, 0.25): (10, 40)}, **COLOURS, **NEAR),
 ]
-"""With 10,000 circles: the same choice from `DENSE_LARGE`, for `runs.DENSE_KINDS`."""
+"""Settings for `runs.DENSE_KINDS` with 10,000 circles: the same choice from `DENSE_LARGE`."""
 
 LADDER = [
     *settings({1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}, **PGS),
@@ -112,7 +112,7 @@ LARGEST_LADDER = [
     *settings({1: (10,)}, **COLOURS, **FEW),
     *settings({2: (10,), 4: (5,)}, **COLOURS),
 ]
-"""With 10,000 circles: what smaller steps are held against, and what kept a preset there in earlier studies."""
+"""Settings on plain piles of 10,000 circles: a comparison for smaller steps, and what kept a preset in old studies."""
 
 PYMUNK, BOX2D, BOX2D_V3 = {"engine": "pymunk"}, {"engine": "Box2D 2.3"}, {"engine": "Box2D v3"}
 BY_SLOP = {1: (4, 6, 10, 20, 30), 2: (2, 3, 4, 6, 10), 4: (1, 2, 3, 4), 8: (1, 2)}
@@ -142,7 +142,7 @@ LARGE_PEERS = [
     *settings({1: (6, 8), 2: (2, 4), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
     *settings({2: (8,), 4: (4,)}, **BOX2D_V3, hertz=240.0),
 ]
-"""With 3,000 circles: those of `PEERS` that kept a preset at 1,000 most cheaply, or nearly, and neighbours."""
+"""Settings with 3,000 circles: those of `PEERS` that kept a preset at 1,000 most cheaply, or nearly, and neighbours."""
 
 LARGEST_PEERS = [
     *settings({1: (4, 6, 10, 20), 2: (4, 6, 10), 4: (2, 4)}, **PYMUNK, slop=0.25),
@@ -152,7 +152,7 @@ LARGEST_PEERS = [
     *settings({2: (4,), 4: (4,)}, **BOX2D, position_sweeps=3),
     *(one for one in LARGE_PEERS if one["engine"] == "Box2D v3"),
 ]
-"""With 10,000 circles: of the fastest rival the same, of the others those that were cheapest with 3,000."""
+"""Settings with 10,000 circles: all of `LARGE_PEERS` for the fastest rival, for others the cheapest with 3,000."""
 
 MORE = {
     "no friction": {"100": settings({4: (3,), 8: (2,)}, **PGS), "1000": settings({4: (3,), 8: (2, 3)}, **PGS)}
@@ -161,7 +161,7 @@ MORE = {
     "heavy on light 1 : 10": {"10000": settings({4: (30,)}, **COLOURS, **FEW)},
     "heavy on light 1 : 100": {"10000": settings({8: (40,), 16: (20,), 32: (20,)}, **COLOURS, **FEW)},
 }
-"""What a kind needs beside, by size: without these no setting kept one of its presets, or at a high price only."""
+"""Further settings of a kind, by size: without them no setting kept one of its presets, or only at a high price."""
 
 LISTS = {
     "settings": {"100": SMALL, "300": SMALL, "1000": SMALL, "3000": LARGE, "10000": LARGEST},
@@ -170,11 +170,11 @@ LISTS = {
     "ladder": {"100": LADDER, "300": LARGE_LADDER, "1000": LADDER, "3000": LARGE_LADDER} | {"10000": LARGEST_LADDER},
     "peers": {"100": PEERS, "300": [], "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGEST_PEERS},
 }
-"""Settings by number of circles: of most kinds, of `DENSE_KINDS`, of `WALLED_KINDS`, and two of plain piles alone."""
+"""Settings by number of circles: of most kinds, of `DENSE_KINDS`, of `WALLED_KINDS`; two lists of plain piles alone."""
 
 
 def wanted(options: Mapping) -> dict[tuple[str, int, str], tuple[dict, int]]:
-    """(Kind, n_bodies, name) -> (setting, number of seeds); of a name that is there twice, the first has the most."""
+    """(Kind, n_bodies, name) -> (setting, number of seeds). Of settings with one name the first has most seeds."""
     cases_by_name = {}
     for n, kinds in options["seeds"].items():
         for kind, count in kinds.items():
@@ -189,9 +189,9 @@ def wanted(options: Mapping) -> dict[tuple[str, int, str], tuple[dict, int]]:
 
 
 def known(options: Mapping, seed: int, before: Mapping) -> dict[tuple[str, int, str], dict]:
-    """The rows of an earlier study that need no new errors. Where one does, the reference beside it does too.
+    """The rows of an earlier study that need no new errors. Where a row needs them, the reference beside it does too.
 
-    Raises ValueError where it has other options.
+    Raises ValueError where the earlier study has other options.
     """
     theirs = before["options"]["seconds"], before["provenance"]["seed"]
     expect(theirs == (options["seconds"], seed), f"seconds, seed: expected {theirs} as in the results")
@@ -202,7 +202,7 @@ def known(options: Mapping, seed: int, before: Mapping) -> dict[tuple[str, int, 
 
 
 def compute(options, seed, jobs, progress):
-    """Rows of all scenes and settings, and what each preset takes of them."""
+    """Rows of all scenes and settings, and the settings that the presets take."""
     before, rows = results.read_results(shipped.find(options["add"])) if options["add"] else None, {}
     if before is not None:
         rows = known(options, seed, before)
@@ -228,7 +228,7 @@ def times_of(row: Mapping, processes: int) -> int:
 
 
 def judged(rows: list[dict]) -> dict:
-    """The rows, with the errors of ours where the answer is known, and what each preset takes of them."""
+    """The rows, with the errors of our settings where the answer is known, and the settings that the presets take."""
     ours = {row["name"]: row["setting"] for row in rows if "engine" not in row["setting"]}
     known = {name: runs.rounded(known_error(setting)) for name, setting in ours.items()}
     rows = [row | ({"known": known[row["name"]]} if row["name"] in known else {}) for row in rows]
@@ -245,7 +245,7 @@ def table(data):
 
 
 def installed(data: Mapping, cpu: str) -> dict:
-    """What the presets read: settings with errors and times by size and kind of scene."""
+    """The table that the presets read: settings with errors and times by size and kind of scene."""
     settings: dict = {}
     for row in data["rows"]:
         if "engine" in row["setting"] or row["us"] is None or not row["errors"]:
@@ -264,7 +264,7 @@ def installed(data: Mapping, cpu: str) -> dict:
 
 
 def claims(data: Mapping) -> Iterator[Claim]:
-    """Whether presets are kept, and what the fastest rival pays for the same."""
+    """Whether presets are kept, and what the fastest rival pays for them."""
     for n in runs.sizes_of(data["presets"]):
         mine = {row["preset"]: row for row in data["presets"] if row["n_bodies"] == n}
         missing = {preset: [kind for kind, ours in row["kinds"].items() if not ours] for preset, row in mine.items()}
@@ -281,7 +281,7 @@ MANY = ("plain", "piston")
 """Kinds with more seeds than others."""
 
 FEWER = (*runs.DENSE_KINDS, *runs.WALLED_KINDS)
-"""Kinds with fewer."""
+"""Kinds with fewer seeds than others."""
 
 DEAR = ("gas", "drum", *runs.WALLED_KINDS)
 """Kinds that are not run with 10,000 circles: they take what was measured with 3,000."""

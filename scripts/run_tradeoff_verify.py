@@ -1,8 +1,8 @@
 """python scripts/run_tradeoff_verify.py: whether presets, and trades, keep their word on scenes outside the study.
 
 Each preset runs scenes of other kinds, sizes and seeds beside a reference, by the driver of the study (`studies.runs`).
-For some kinds `measure_trade` chooses too, from seeds of its own. Finished parts are kept in the work folder: a run of
-one commit goes on where it stopped. Times want a machine that does nothing else.
+For some kinds `measure_trade` chooses too, from seeds of its own. Finished parts are kept in the work folder, so that a
+run of the same commit goes on where it stopped. Times want a machine that does nothing else.
 """
 
 import warnings
@@ -60,7 +60,7 @@ KINDS = {
     "heavy on light 1 : 5": {"make": runs.two_densities, "ratio": 5.0, "heavy": "above"},
     "light on heavy 1 : 30": {"make": runs.two_densities, "ratio": 30.0, "heavy": "below"},
 }
-"""Kind of scene -> options of `piles.scene`, or of the scene that is named."""
+"""Kind of scene -> arguments of `piles.scene`, or of the function `make`."""
 
 TIME_STEPS = {"slippery": 0.025, "loose": 0.005}
 """Kind -> its Δt, s, where it is not the study's."""
@@ -74,13 +74,13 @@ def scene(kind, n_bodies, seed):
 
 
 def chosen_by_presets(start):
-    """Preset -> (its setting for a scene, what it is said to cost a step, μs)."""
+    """Preset -> (its setting for a scene, its predicted cost of a step, μs)."""
     taken = {preset: presets.decide(start, preset) for preset in PRESETS}
     return {preset: (trade.setting_of(one.solver, start.dt, one.start), one.us) for preset, one in taken.items()}
 
 
 def chosen_by_trade(kind, n, options, seed, jobs):
-    """The same of `measure_trade`, on seeds of its own."""
+    """Preset -> (setting, predicted cost of a step, μs) that `measure_trade` chooses on seeds of its own."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", presets.PresetWarning)
         steps = round(options["seconds"] / scene(kind, n, seed).dt)
@@ -126,7 +126,7 @@ def judged(errors, preset):
 
 
 def claims(data):
-    """Of presets and of trades, how many cells keep all tolerances; and whether costs are as predicted."""
+    """How many cells of presets and of trades keep all tolerances, and whether costs are as predicted."""
     for by, text in (("rows", ""), ("trades", ", chosen by a trade,")):
         for preset in PRESETS:
             if cells := [row for row in data[by] if row["preset"] == preset]:
@@ -155,7 +155,7 @@ def table(data):
 
 
 MEDIUM = [kind for kind in KINDS if kind != "silo"]
-"""Higher silos are solved to a tolerance, which takes hours."""
+"""Kinds with 300 and 1,000 circles. Higher silos are solved to a tolerance, which takes hours."""
 
 LARGE = ["plain", "narrow radii", "hopper", "terrain", "piston", "low dam", "densities 1 : 5", "heavy on light 1 : 5"]
 OPTIONS = {

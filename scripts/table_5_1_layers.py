@@ -37,7 +37,7 @@ def claims(data):
 
 
 def text(layer):
-    """61 × 61 × 5."""
+    """The shape of a layer as a text, "61 × 61 × 5"."""
     return " × ".join(map(str, layer["shape"]))
 
 

@@ -12,11 +12,11 @@ from deep_contact.reporting import Claim, Figure, figures
 from deep_contact.studies import chapter_5
 
 PRINTED, CODE = chapter_5.PRINTED["hyperparameters"], chapter_5.PRINTED["authors' code"]
-"""Table 5.2 as the thesis prints it, with the rates of Algorithm 6, and the same of its authors' code. The thesis's
+"""Table 5.2 as the thesis prints it, with the rates of Algorithm 6; and the settings of its authors' code. The thesis's
 "1 × 5 × 10⁻³" is 0.005."""
 
 SPELLING = {"relu": "ReLU", "HeNormal": "He normal"}
-"""A name of Keras -> the same in the thesis."""
+"""Name in Keras -> name in the thesis."""
 
 
 def settings_of(network, config, rates: Sequence[float]) -> dict[str, str]:
@@ -55,7 +55,7 @@ def settings_of(network, config, rates: Sequence[float]) -> dict[str, str]:
 
 
 def recipe_of(command: str) -> str | None:
-    """The recipe that a card's command names; None where it is of a time before there were recipes."""
+    """The recipe that a card's command names; None where the card is older than recipes."""
     words = shlex.split(command)
     return words[words.index("--recipe") + 1] if "--recipe" in words else None
 

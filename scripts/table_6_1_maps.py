@@ -59,7 +59,10 @@ def states_of(seed, options):
 
 
 def trained_maps(task, folder, options):
-    """Train a variant's networks: their parameters in all, and both maps of the states held out, (n, n_y, n_x, 2)."""
+    """Train a variant's networks.
+
+    Returns the number of their parameters, and both maps of the states held out, (n, n_y, n_x, 2).
+    """
     one_thread()
     from deep_contact.cnn.architectures import build
     from deep_contact.cnn.backend import keras
@@ -82,7 +85,7 @@ def trained_maps(task, folder, options):
 
 
 def errors_of(scenes, images, spec):
-    """Errors on each scene: of both maps, where the solution's has a value, and of velocities after `SWEEPS`."""
+    """Errors on each scene: of both maps, where the solution's map has a value, and of velocities after `SWEEPS`."""
     images, found = iter(images), []
     for states in scenes:
         ours, true = [next(images) for _ in states], [label_image(state, spec) for state in states]
@@ -111,10 +114,10 @@ def claims(data):
 
 
 def equal(text, thesis, first, second):
-    """The claim that two errors, (seeds, scenes), are equal, whichever training of the one is set against the other's.
+    """The claim that two errors, (seeds, scenes), are equal, whichever two of their trainings are compared.
 
-    It holds if the largest ratio of two trainings and the smallest one lie in `ALIKE`, with their intervals over the
-    scenes held out.
+    It holds if the largest and the smallest ratio of two trainings lie in `ALIKE`, with their intervals over the scenes
+    held out.
     """
     (low, high), scenes = ALIKE, first.shape[1]
     means = lambda errors, drawn: errors[:, drawn].mean(axis=-1)  # noqa: E731
@@ -131,7 +134,7 @@ def equal(text, thesis, first, second):
 
 
 def table(data):
-    """The mean of the trainings, and their least and largest."""
+    """The mean error of the trainings, and the least and the largest."""
     rows = [["networks", "parameters", *MEASURES]]
     for variant, found in data["variants"].items():
         means = [of(data, variant, measure).mean(axis=1) for measure in MEASURES]

@@ -13,14 +13,14 @@ from deep_contact.simulation import simulate
 from deep_contact.studies.extremes import mechanical_energy, with_bodies
 
 KEPT = 0.02
-"""Largest change of the energy of elastic circles without friction, over that at the start."""
+"""Largest change of the energy of elastic circles without friction, as a share of the energy at the start."""
 
 GAINED = 0.01
-"""Largest gain of energy of any circles, over that at the start."""
+"""Largest gain of energy of any circles, as a share of the energy at the start."""
 
 
 def scene_of(case, options):
-    """Circles that fall into the box, of masses that differ up to `ratio` times, drawn evenly in their logarithm."""
+    """Circles that fall into the box. Their masses differ up to "mass_ratio" times, drawn evenly in their logarithm."""
     scene = circles_in_box(
         options["n_bodies"], restitution=case["restitution"], friction=case["friction"], seed=case["seed"]
     )
@@ -29,7 +29,7 @@ def scene_of(case, options):
 
 
 def run_case(task):
-    """The energy at the end of a run, and the least and the greatest on its way, over that at its start."""
+    """The energy at the end of a run, and the least and the greatest on its way, as shares of that at the start."""
     case, options = task
     state = scene_of(case, options)
     start, shares = mechanical_energy(state, state.bodies), []

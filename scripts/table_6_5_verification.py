@@ -18,7 +18,7 @@ SILO = "Janssen's silo, floor load over weight"
 
 
 def cases():
-    """Name -> (source, what `run(scene, seconds)`, a state, measures in an engine, its exact value)."""
+    """Name -> (source, function that measures a value by `run(scene, seconds)` -> state, exact value)."""
     row, still = [[10.0, 20.0], [14.0, 20.0], [16.0, 20.0], [18.0, 20.0]], [0.0, 0.0]
     elastic = {"gravity": 0.0, "restitution": 1.0}
     disc, slip = "a = 2/3 g sin α (textbook)", "a = g (sin α − μ cos α) where tan α > 3 μ (textbook)"
@@ -76,7 +76,7 @@ def bowl_of(swing, friction):
 
 
 def least_friction(run):
-    """The friction from which on one circle rests on two that touch: with less they part within 5 s."""
+    """The least friction with which one circle rests on two that touch: with less the two part within 5 s."""
 
     def rise(friction):
         heap = scene_of([[10.0, 1.01], [12.0, 1.01], [11.0, 1.01 + sqrt(3.0)]], friction=friction)
@@ -89,7 +89,7 @@ def silo(seeds=3, friction=0.5, columns=10):
     """Floor load over weight of silos of 1 to 8 times their width, and Janssen's law with one K fitted to them.
 
     The law supposes that friction holds the circles up wherever they touch a wall, so the walls move up, at 0.5 m/s,
-    as those of Bertho and others; poured between walls at rest, the circles can load the floor with more than their
+    as in Bertho and others. Circles that are poured between walls at rest can load the floor with more than their
     weight. Loads are means over 10 s and over seeds.
     """
     depth, load = np.zeros((2, 4, seeds))

@@ -9,7 +9,7 @@
 
 <out>/history.png, the learning curve, is drawn after every epoch. Started again with the same flags, a run goes on
 after the last epoch that is done. At the end <out>/model.h5 is a model file with its card. `deep-contact train`
-and `deep-contact generate-data` are the same, without the repository too.
+and `deep-contact generate-data` do the same, also without the repository.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from deep_contact.__main__ import INTERRUPTED, status_of
 from deep_contact.cnn.training.config import RECIPES, TrainingConfig, config_of, recipe
 
 QUICK_DATA = "--simulations 12 --steps 250 --bodies 40 60 --seed 1 --jobs 1".split()
-"""What `generate_data.py` makes for --quick."""
+"""Options of `generate_data.py` for --quick."""
 QUICK = {
     "far field": {"options": {"width": 8}, "epochs": 8, "states_per_epoch": 960},
     "thesis": {

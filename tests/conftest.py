@@ -23,18 +23,18 @@ SCRIPTS = ROOT / "scripts"
 TOOLS = ROOT / "tests" / "tools"
 FOLDERS = SCRIPTS, TOOLS, ROOT / "docs" / "gallery"
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell has it in the background, and processes inherit it
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell sets it for the background; processes inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 ENGINE_LAST = "reporting/test_readme.py", "physics/", "studies/"
-"""Where tests need many kinds of steps."""
+"""Files whose tests need many kinds of steps, and so run last."""
 
 
 def pytest_collection_modifyitems(items):
-    """Golden runs first: one process compiles their kinds of steps, and the other tests meanwhile what needs few kinds.
+    """Golden runs first: one process compiles their kinds of steps, while others run the tests that need few kinds.
 
-    Where both need the same kind at the same time, one of them waits for the other.
+    Where two processes need the same kind at the same time, one of them waits for the other.
     """
 
     def place(item):
@@ -46,7 +46,7 @@ def pytest_collection_modifyitems(items):
 
 
 def load_script(name):
-    """The script, tool or example of this name, or figure_6_6_….py for "figure_6_6", a module that pickles by name."""
+    """The script, tool or example `name` as a module that pickles by name; "figure_6_6" stands for figure_6_6_….py."""
     places = (folder.glob(pattern) for pattern in (f"{name}.py", f"{name}_*.py") for folder in FOLDERS)
     path = next(path for place in places for path in place)
     if path.stem not in sys.modules:
@@ -57,7 +57,7 @@ def load_script(name):
 
 
 def run_python(*arguments, status=0, environment=(), **options):
-    """A Python process with these arguments that ends with this status: what it has printed."""
+    """Run Python with these arguments, and expect this exit status. Returns the process, with its output."""
     command = [sys.executable, *map(str, arguments)]
     options |= {"env": os.environ | dict(environment), "capture_output": True, "text": True, "timeout": 600}
     done = subprocess.run(command, **options)
@@ -74,7 +74,7 @@ def circles_at(position, *, dt=0.01, **options):
 def observation(
     kinetic=1.0, height=10.0, speed=0.0, penetration=0.0, contacts=1.5, loads=None, count=30, quantities=None
 ):
-    """What is looked at of a run, a number being a curve that does not change."""
+    """The observation of a run. A number stands for a curve that does not change."""
 
     def curve(value):
         return np.full(count, float(value)) if np.isscalar(value) else np.asarray(value, float)
@@ -93,13 +93,13 @@ def falling_states():
 
 @pytest.fixture(scope="session")
 def frictionless_states():
-    """The same without friction."""
+    """Every 40th solved state of the thesis's scene without friction."""
     return solved_states(dc.circles_in_box(60, friction=0.0, seed=4), steps=400, every=40)
 
 
 @pytest.fixture(scope="session")
 def nnls_velocities(frictionless_states):
-    """Velocities (n, 3) of min over λ >= 0 of ½ |B λ + M^½ v|², B = M^-½ Jᵀ: without friction, the only ones."""
+    """Velocities (n, 3) of min over λ >= 0 of ½ |B λ + M^½ v|², B = M^-½ Jᵀ: unique without friction."""
     found = []
     for state in frictionless_states:
         problem = contact_problem(state)
@@ -117,7 +117,7 @@ def stacked(solution):
 
 
 def carried(state):
-    """The impulses that a state starts from, likewise."""
+    """The impulses that a state starts from, (2 m,), numbered as those of `stacked`."""
     return np.column_stack([state.contacts.normal_start, state.contacts.tangent_start]).ravel()
 
 

@@ -1,4 +1,4 @@
-"""The borders of what a state may hold: the last value that is taken, and the first that is refused."""
+"""The borders of what a state may hold: the last value that is accepted, and the first that is refused."""
 
 import re
 import warnings

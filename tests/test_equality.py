@@ -1,4 +1,4 @@
-"""`==` and `in` of states and of all results: "the same bits" is a promise that people test so."""
+"""`==` and `in` of states and of all results: "the same bits" is a promise that people test with them."""
 
 import copy
 import pickle

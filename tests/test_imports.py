@@ -1,4 +1,4 @@
-"""What is imported for which job: cost follows what is there."""
+"""The packages that each job imports: no job loads a package that it does not need."""
 
 import pytest
 from conftest import ROOT, run_python

@@ -1,7 +1,7 @@
 """The adapters to Box2D 2.3, pymunk and Box2D v3: same scene, honest recordings.
 
-The recordings are what the engine is judged by (test_box2d_oracle.py), and it judges them: its sweeps solve what was
-recorded.
+The engine is judged by the recordings (test_box2d_oracle.py), and judges them in turn: its sweeps solve the recorded
+problems.
 """
 
 import sys

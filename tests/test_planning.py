@@ -1,4 +1,4 @@
-"""Plans: what a run uses and leaves out, said as `simulate` does it."""
+"""Plans: they say what a run uses and leaves out, as `simulate` then does."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Scenes that a few sweeps cannot solve: they are recognised, and what is taken for them holds."""
+"""Scenes that a few sweeps cannot solve: they are recognised, and rest with the settings that are taken for them."""
 
 import numpy as np
 import pytest

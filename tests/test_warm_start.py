@@ -1,4 +1,4 @@
-"""Starts: what they hold, and that none is accepted that does not fit."""
+"""Starts: their impulses, and the sweeps that they save."""
 
 import json
 from dataclasses import replace

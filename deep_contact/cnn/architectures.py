@@ -17,16 +17,16 @@ from deep_contact.validation import integer, number, one_of
 layers = keras.layers
 
 THESIS_STACKS = ((32, (3, 3)), (64, (3, 3, 2)), (128, (2, 2, 2)), (256, (2, 2, 2)), (512, (2, 2, 2)))
-"""Filters, and the sides of the kernels (Appendix B; Table 5.2 has 3 × 3 for all)."""
+"""Number of filters of each stack, and the sides of its kernels (Appendix B; Table 5.2 has 3 × 3 for all)."""
 
 _NORMALIZED = (2, 4)
 """Numbers of the stacks whose pooling is followed by batch normalisation (Table 5.1)."""
 
 
 def build(name: str, **options) -> keras.Model:
-    """The network of that name, untrained: "thesis" or "far field", with the options of the function below.
+    """The untrained network `name`, "thesis" or "far field". options: arguments of `thesis` or `far_field`.
 
-    Raises ValueError on another name, and on options that the network does not have.
+    Raises ValueError for another name, and for options that the network does not have.
     """
     make = ARCHITECTURES[one_of("architecture", name, ARCHITECTURES)]
     for option in options:
@@ -46,15 +46,16 @@ def thesis(
 ) -> keras.Model:
     """The thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · targets).
 
-    With the defaults: 64,498,866 trainable parameters. The fully connected last layer holds 61 million of them and ties
-    the network to images of one size. Its ReLU excludes negative impulses, and with them half of all friction,
-    as in the thesis.
+    With the defaults the network has 64,498,866 trainable parameters. The fully connected last layer holds 61 million
+    of them and ties the network to images of one size. Its ReLU excludes negative impulses, and with them half of all
+    friction, as in the thesis.
 
-    targets: maps that it gives; goal 8 of the thesis is one for each impulse.
-    stacks: filters and sides of the kernels; all but the last are pooled. dropout: rate after every stack (Table 5.1),
-    or one rate a stack; Appendix B has dropout after the last stack only.
-    weight_decay: of the L2 regulariser; the value is that of the authors' code, the thesis prints none.
-    rank: the matrix of the last layer, 244 MB, is a product of two of this rank; None: it is whole, as in the thesis.
+    targets: number of maps in the output; 1 is a network for one impulse alone, as in goal 8 of the thesis.
+    stacks: filters and sides of the kernels; all stacks but the last are pooled. dropout: rate after every stack
+    (Table 5.1), or one rate for each; Appendix B has dropout after the last stack only.
+    weight_decay: factor of the L2 regulariser; the default is that of the authors' code, the thesis prints none.
+    rank: the last layer's matrix, 244 MB, is a product of two matrices of this rank; None: it is one matrix, as in the
+    thesis.
     Raises ValueError naming the option and the value.
     """
     if len(shape) != 2:
@@ -88,10 +89,10 @@ def thesis(
 
 
 def far_field(*, width: int = 24) -> keras.Model:
-    """The far-field network (`cnn.far_field`): (b, n_y, n_x, 29) -> every second node, 12 outputs, where n = 1 (mod 8).
+    """The far-field network (`cnn.far_field`): (b, n_y, n_x, 29), n = 1 (mod 8) -> 12 outputs at every second node.
 
     A U-Net of residual blocks on every second, fourth and eighth node of the input, of `width`, 2 `width` and
-    2 `width` features. The last layer starts from zero, so that an untrained network leaves Builtin as it is.
+    2 `width` features. The last layer starts from zero, so that an untrained network leaves Builtin's start as it is.
     Raises ValueError naming the option and the value.
     """
     integer("width", width, 1)

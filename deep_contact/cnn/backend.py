@@ -11,20 +11,20 @@ from contextlib import contextmanager, suppress
 from deep_contact.validation import integer
 
 _threads: int | None = None
-"""What `limit_threads` asked for."""
+"""Number of threads that `limit_threads` has set. None: TensorFlow chooses."""
 
 _importing = threading.RLock()
-"""Held while a package is imported: file descriptor 2 is the process's, and half a package is no package."""
+"""Lock of an import: file descriptor 2 belongs to the whole process, and no thread may see half a package."""
 
 
 def __getattr__(name: str):
-    """`from deep_contact.cnn.backend import keras`, or `tensorflow`: the package, imported by the first who asks."""
+    """`from deep_contact.cnn.backend import keras`, or `tensorflow`: the package, imported on first use."""
     if name not in ("keras", "tensorflow"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     _expect_tensorflow(os.environ.get("KERAS_BACKEND", "tensorflow"))
     with _importing:
         if name not in sys.modules:
-            # TensorFlow's later messages are below this level. The first ones do not know any level yet.
+            # This level hides TensorFlow's later messages. The first ones come before the level is read: `_silent`.
             os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
             try:
                 with _silent():
@@ -46,9 +46,9 @@ def _expect_tensorflow(backend: str) -> None:
 
 
 def limit_threads(count: int) -> None:
-    """Let TensorFlow use so many threads for all networks of this process, now or as soon as it is imported.
+    """Let TensorFlow use `count` threads for all networks of this process, now or as soon as it is imported.
 
-    Raises RuntimeError where TensorFlow is already at work with another number.
+    Raises RuntimeError where TensorFlow already works with another number of threads.
     """
     global _threads
     _threads = integer("threads", count, 1)
@@ -56,7 +56,7 @@ def limit_threads(count: int) -> None:
 
 
 def one_thread() -> None:
-    """Let TensorFlow use one thread in this process. Where it is already at work, only times depend on it."""
+    """Let TensorFlow use one thread in this process. Where it already works with more, it keeps them."""
     with suppress(RuntimeError):
         limit_threads(1)
 
@@ -70,10 +70,10 @@ def _apply_limit() -> None:
 
 @contextmanager
 def _silent():
-    """Drop what is written to file descriptor 2, by C++ as well."""
+    """Drop all output to file descriptor 2, that of C++ included."""
     try:
         before = os.dup(2)
-    except OSError:  # a process without one, as under pythonw
+    except OSError:  # a process without this descriptor, as under pythonw
         yield
         return
     with open(os.devnull, "wb") as nowhere:

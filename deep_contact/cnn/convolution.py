@@ -1,11 +1,12 @@
 """The far-field network without a framework: its convolutions in Numba, as one compiled call, for inference.
 
-A layer is a table: where each output node's first tap lies in its input, and weights in groups of eight features, or
-sixteen. Eight nodes of a group are eight vectors that stay in registers while all taps go by, so that nearly every
+A layer is a table. It has the place of each output node's first tap in the input, and weights in groups of eight or
+sixteen features. Eight nodes of a group are eight vectors that stay in registers while all taps go by. So nearly every
 operation multiplies and adds as many numbers as the processor can at a time. A transposed convolution is four such
-layers, one for the even and odd rows and columns of its output, so that no zero is multiplied. Images are stored with
-one node of zeros around them, the one at the end of a row being that at the beginning of the next, and each as it is
-and with ReLU taken, since a residual block needs both.
+layers, one for each pair of even or odd rows and columns of its output, so that no zero is multiplied.
+
+An image is stored with a margin of one node of zeros; the margin at the end of a row is also that at the beginning of
+the next. A residual block needs its input as it is and with ReLU taken, so both images are stored.
 """
 
 from __future__ import annotations
@@ -35,29 +36,29 @@ def layer_shapes(width: int) -> dict[str, list[tuple[int, ...]]]:
 
 
 _WIDEST = 2 if get_host_cpu_features().get("avx512f") else 1
-"""Vectors of `WIDTH` that a register of the processor holds."""
+"""Number of vectors of `WIDTH` numbers that a register of the processor holds."""
 
 
 LAYER = np.dtype(
     [
-        ("first", np.int64),  # of its nodes in `Program.nodes`
-        ("blocks", np.int64),  # how many times `WIDTH` nodes
+        ("first", np.int64),  # row of its first node in `Program.nodes`
+        ("blocks", np.int64),  # number of blocks of `WIDTH` nodes
         ("pitch", np.int64),  # numbers from a row of taps to the next in the input
-        ("rows", np.int64),  # of taps
+        ("rows", np.int64),  # number of rows of taps
         ("run", np.int64),  # numbers in a row of taps
         ("weights", np.int64),  # first vector in `Program.weights`: bias, then taps, group by group
-        ("groups", np.int64),  # of features
-        ("vectors", np.int64),  # of `WIDTH` features in a group, 1 or 2
+        ("groups", np.int64),  # number of groups of features
+        ("vectors", np.int64),  # vectors of `WIDTH` features in a group, 1 or 2
         ("skip", np.int64),  # image that is added
         ("out", np.int64),  # image that is written
-        ("positive", np.int64),  # image of the same with negative numbers cut
+        ("positive", np.int64),  # image that is written with ReLU taken
     ]
 )
-"""One row of the program. Places count in vectors of `WIDTH` numbers in the workspace; -1 is nowhere."""
+"""A row of `Program.layers`. Images are named by their place in the workspace, in vectors of `WIDTH`; -1: none."""
 
 
 class Image(NamedTuple):
-    """An image in the workspace: height and width in nodes, numbers in a node, and its first number's place."""
+    """An image in the workspace: height and width in nodes, numbers in a node, and the place of its first number."""
 
     height: int
     width: int
@@ -66,11 +67,11 @@ class Image(NamedTuple):
 
     @property
     def pitch(self) -> int:
-        """Numbers from a row to the next."""
+        """Numbers from the beginning of a row to that of the next."""
         return (self.width + 1) * self.numbers
 
     def nodes(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Place of each of these rows' and columns' nodes, row by row; -1 is the margin."""
+        """Places of the nodes in these rows and columns, row by row, relative to `place`; -1 is the margin."""
         return (((rows[:, None] + 1) * (self.width + 1) + columns + 1) * self.numbers).ravel()
 
     def view(self, space: np.ndarray) -> np.ndarray:
@@ -83,8 +84,8 @@ class Image(NamedTuple):
 class Program:
     """The network `architectures.far_field` for images (n_y, n_x, channels), n = 1 (mod 8).
 
-    weights: layer -> kernel and bias, as `model_file.StoredNetwork` has them. Several threads may call it: each call
-    has a workspace of its own. Raises ValueError where the network has other layers (see `layer_shapes`).
+    weights: layer -> kernel and bias, as `model_file.StoredNetwork` has them. Several threads may call a program: each
+    call has a workspace of its own. Raises ValueError where the network has other layers (see `layer_shapes`).
     """
 
     def __init__(self, weights: dict[str, list[np.ndarray]], shape: tuple[int, int]):
@@ -103,15 +104,15 @@ class Program:
         layers, self.nodes = np.array(self._layers, LAYER), np.concatenate(self._nodes)
         self.layers = layers.view(np.recarray) if config.DISABLE_JIT else layers
         self.weights, self._input, self._output = np.concatenate(self._weights), image, last
-        self._workspaces = [_aligned(self._size)]  # those that no call is using
+        self._workspaces = [_aligned(self._size)]  # workspaces that no call is using
         del self._of, self._layers, self._nodes, self._weights
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """Coefficients (rows, columns, outputs) of an image of this shape, both float32."""
+        """Coefficients (rows, columns, outputs) for an image of the program's shape, both float32."""
         expect(image.shape == self._input[:3], f"image: expected shape {self._input[:3]}, got {image.shape}")
         try:
             workspace = self._workspaces.pop()
-        except IndexError:  # other threads have them
+        except IndexError:  # other threads have all workspaces
             workspace = _aligned(self._size)
         self._input.view(workspace)[:] = image
         _run(self.layers, self.nodes, self.weights, workspace)
@@ -120,14 +121,14 @@ class Program:
         return output
 
     def _image(self, height, width, features) -> Image:
-        """Room for an image, zero as the margin has to be."""
+        """Reserve the place of an image in the workspace, whose zeros are the margin."""
         numbers = features if self._size == 0 else _whole(features)
         image = Image(height, width, numbers, self._size)
         self._size += _whole(((height + 2) * (width + 1) + 1) * numbers)
         return image
 
     def _pair(self, *size):
-        """Room for an image as it is and with ReLU."""
+        """Reserve the places of an image as it is, and with ReLU taken."""
         return self._image(*size), self._image(*size)
 
     def _down(self, name, image):
@@ -145,13 +146,13 @@ class Program:
         return made
 
     def _up(self, name, image, skip):
-        """Twice the nodes less one: a transposed convolution without its outer nodes, to which an image is added."""
+        """2 n − 1 nodes of n: a transposed convolution without its outer nodes, to which the image `skip` is added."""
         made = self._pair(skip.height, skip.width, self._of[name][0].shape[2])
         for odd_row in (0, 1):
             for odd_column in (0, 1):
                 rows, columns = np.arange(image.height - odd_row), np.arange(image.width - odd_column)
                 here = made[0].nodes(2 * rows + odd_row, 2 * columns + odd_column)
-                # Even nodes meet the middle of the kernel; odd ones its end at the node before, its start at the next.
+                # An even node meets the kernel's middle; an odd one its end at the node before, its start at the next.
                 taps = [(1,), (2, 0)][odd_row], [(1,), (2, 0)][odd_column]
                 kernel = self._of[name][0].transpose(0, 1, 3, 2)[np.ix_(*taps)]
                 self._layer(name, kernel, image, image.nodes(rows, columns), here, *made, skip=skip)
@@ -165,14 +166,14 @@ class Program:
         self._layer(name, kernel, image, nodes, made.nodes(rows, columns), out, positive, skip=skip)
 
     def _layer(self, name, kernel, image, nodes, here, out, positive, *, skip):
-        """Add a layer: what the nodes at `here` are from the taps that begin at `nodes` of the image."""
+        """Add a layer that computes the nodes at `here` from the taps that begin at `nodes` of the image."""
         rows, columns, channels, features = kernel.shape
         every = _whole(features) // WIDTH
         # A row of vectors for the bias, then one for each tap and channel.
         wide = np.zeros((1 + rows * columns * image.numbers, every, WIDTH), np.float32)
         wide[0].ravel()[:features] = self._of[name][1]
         wide[1:].reshape(rows, columns, image.numbers, -1)[:, :, :channels, :features] = kernel
-        # Nodes that are left in the last block do the last one again.
+        # The places left in the last block compute the last node again.
         count = _whole(len(nodes))
         places = np.stack([nodes + image.place, here // WIDTH], axis=1).astype(np.uint32)
         first = sum(part.shape[0] for part in self._nodes)
@@ -201,16 +202,16 @@ def _whole(count: int) -> int:
 
 
 def _aligned(size: int) -> np.ndarray:
-    """Zeros, so many float32 numbers, the first at the beginning of a cache line."""
+    """`size` zeros, float32, the first of them at the beginning of a cache line."""
     line = 64
     room = np.zeros(size + line // 4, np.float32)
     return room[(-room.ctypes.data % line) // 4 :][:size]
 
 
-# Unsigned indices spare Numba the test for counting from the end.
+# Unsigned indices spare Numba the test for negative ones, which count from the end.
 @njit(cache=True, error_model="numpy")
 def _convolve(layer, b, nodes, weights, space, zero):
-    """Block b of a layer: `WIDTH` nodes, all groups of features, each of as many as `zero` has lanes."""
+    """Compute block b of a layer in place: `WIDTH` nodes, all groups of as many features as `zero` has lanes."""
     first, pitch, vectors = layer.first + b * WIDTH, uint64(layer.pitch), layer.vectors
     x0, x1, x2 = nodes[uint64(first), 0], nodes[uint64(first + 1), 0], nodes[uint64(first + 2), 0]
     x3, x4, x5 = nodes[uint64(first + 3), 0], nodes[uint64(first + 4), 0], nodes[uint64(first + 5), 0]

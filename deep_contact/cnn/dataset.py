@@ -1,4 +1,4 @@
-"""A store of many simulations' files (`deep_contact.io.simulation_h5`), and its sides for training."""
+"""A store of the files of many simulations (`deep_contact.io.simulation_h5`), and their split for training."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ SETTLING, REST = 0.5, 0.05
 """Relative errors of Builtin's start below which a state is settling, or at rest."""
 
 _reading = Lock()
-"""Held while a store reads, and changes what it keeps."""
+"""Lock of a store while it reads a file and changes its cache."""
 
 
 def simulation_path(folder, sim: int) -> Path:
-    """Where simulation `sim` of a folder lies."""
+    """The path of simulation `sim` in a folder."""
     return Path(folder) / f"sim_{sim:04d}.h5"
 
 
 class Store:
     """The simulations of a folder: `sim_0000.h5`, `sim_0001.h5`, …
 
-    A simulation is read and checked as a whole on the first access to one of its states. The last ones are kept in
-    memory, unpacked, up to `cache_bytes` (at least one). Raises DataFileError where there is none.
+    A simulation is read and checked as a whole on the first access to one of its states. The simulations read last are
+    kept in memory, unpacked, up to `cache_bytes` (at least one). Raises DataFileError where the folder has none.
     """
 
     def __init__(self, folder, *, cache_bytes: int = 8 * 2**30):
@@ -48,7 +48,7 @@ class Store:
         self._infos = {}
 
     def __len__(self) -> int:
-        """Number of states in all."""
+        """Number of states of all simulations together."""
         return sum(self.info(sim).count for sim in self.simulations)
 
     def _path(self, sim: int) -> Path:
@@ -63,7 +63,7 @@ class Store:
         return self._infos[sim]
 
     def simulation(self, sim: int) -> StoredSimulation:
-        """All states of a simulation, from memory if it was among the last ones read."""
+        """All states of a simulation, from memory if the store still has it there."""
         with _reading:
             if sim not in self._cache:
                 self._cache[sim] = read_simulation(self._path(sim))
@@ -73,13 +73,13 @@ class Store:
             return self._cache[sim]
 
     def state(self, sim: int, index: int) -> StateWithContacts:
-        """One state, to the last bit what was written."""
+        """One state, equal to the written one to the last bit."""
         return self.simulation(sim).state(index)
 
     def states(self, sims=None, *, phases=None) -> np.ndarray:
-        """(k, 2) of (simulation, index): the states of some simulations (all by default), in order.
+        """Pairs (simulation, index), (k, 2), of the states of some simulations (all by default), in order.
 
-        phases: one of `PHASES`: those of this phase only.
+        phases: one of `PHASES`, the only phase whose states are returned; None: all phases.
         """
         pairs = [np.empty((0, 2), np.int64)]
         for sim in self.simulations if sims is None else sims:
@@ -90,7 +90,7 @@ class Store:
         return np.concatenate(pairs)
 
     def data_hash(self, sims=None) -> str:
-        """SHA-256 over the numbers and digests of some simulations (all by default), whatever their compression.
+        """SHA-256 over the numbers and digests of some simulations (all by default), the same for every compression.
 
         The digests are those in the files; each is checked against the contents when the simulation is read.
         """
@@ -101,7 +101,7 @@ class Store:
 def start_errors(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     """‖λ₀ − λ‖ / ‖λ‖ of each state, (T,), λ₀ being its start; 0 where both are zero, infinite where only λ is.
 
-    arrays: of a `StoredSimulation`.
+    arrays: those of a `StoredSimulation`.
     """
     off = (arrays["normal_start"] - arrays["normal_impulse"]) ** 2
     off += (arrays["tangent_start"] - arrays["tangent_impulse"]) ** 2
@@ -114,22 +114,22 @@ def start_errors(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def phases_of(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The phase of each state as an index of `PHASES`, (T,): by how far off its start was (`SETTLING`, `REST`).
+    """The phase of each state as an index of `PHASES`, (T,), by the error of its start (`SETTLING`, `REST`).
 
-    For solved states of runs that Builtin started: what is new in a state is what the step before did not know.
+    arrays: those of solved states of runs with Builtin's start, whose error is the change since the step before.
     """
     errors = start_errors(arrays)
     return (errors <= SETTLING).astype(np.int64) + (errors <= REST)
 
 
 def phase(state: StateWithContacts) -> str:
-    """One of `PHASES`, as `phases_of`."""
+    """The phase of a state, one of `PHASES`, by the rule of `phases_of`."""
     offsets = {"contact_offset": np.array([0, state.contacts.count])}
     return PHASES[phases_of(state.contacts._asdict() | offsets)[0]]
 
 
 class Split(NamedTuple):
-    """Numbers of the simulations to train on, to choose the epoch by, and to report; increasing and disjoint."""
+    """Numbers of the simulations for training, for the choice of the epoch, and for reports; increasing, disjoint."""
 
     train: tuple[int, ...]
     validation: tuple[int, ...]
@@ -139,8 +139,8 @@ class Split(NamedTuple):
 def split_by_simulation(sims, *, fractions=(0.8, 0.1, 0.1), seed: int = 0) -> Split:
     """Simulations assigned at random to three sides, each as a whole, since states of one simulation are similar.
 
-    sims: their numbers. fractions: of train, validation and test, with the sum 1. A side with a fraction > 0 gets at
-    least one simulation. The split depends on the seed and the numbers only.
+    sims: numbers of the simulations. fractions: of train, validation and test, with the sum 1. A side with a positive
+    fraction gets at least one simulation. The split depends on the seed and the numbers only.
     Raises ValueError for other fractions or too few simulations.
     """
     ids = np.unique(np.array(list(sims), np.int64))
@@ -159,5 +159,5 @@ def split_by_simulation(sims, *, fractions=(0.8, 0.1, 0.1), seed: int = 0) -> Sp
 
 
 def evenly(states: np.ndarray, count: int) -> np.ndarray:
-    """About `count` of the states (k, 2), at equal distances."""
+    """About `count` of the states (k, 2), evenly spaced."""
     return states[:: max(1, len(states) // max(count, 1))]

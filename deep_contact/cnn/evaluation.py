@@ -19,13 +19,13 @@ BASELINES = {
     "none": lambda state, solver: (np.zeros(state.contacts.count), np.zeros(state.contacts.count)),
     "builtin": lambda state, solver: (state.contacts.normal_start, state.contacts.tangent_start),
 }
-"""Name -> start without a network: `NoStart` and `Builtin` of `warm_start`, which is above this folder."""
+"""Name -> start without a network: `NoStart` and `Builtin` of `warm_start`, which this folder does not import."""
 
 
 def velocity_errors(state: State, start: tuple[np.ndarray, np.ndarray], sweeps: Sequence[int] = SWEEPS) -> np.ndarray:
-    """`metrics.velocity_error` after so many sweeps of PGS from a start, (len(sweeps),).
+    """`metrics.velocity_error` after each number of `sweeps` of PGS from a start, (len(sweeps),).
 
-    The reference are the velocities by the impulses that the solved state holds. The error is infinite where v* = v⁻
+    The reference velocities v* are those by the impulses of the solved state. The error is infinite where v* = v⁻
     but v differs. Raises ValueError on a state that is not solved.
     """
     check_solution(state)
@@ -38,12 +38,18 @@ def velocity_errors(state: State, start: tuple[np.ndarray, np.ndarray], sweeps: 
 
 
 def start_quality(states: Iterable[State], start, *, sweeps: Sequence[int] = SWEEPS) -> dict[str, float]:
-    """How near a start's impulses λ₀ are to the λ of solved states, with contacts, taken together.
+    """Errors of a start's impulses λ₀ against the λ of solved states with contacts, over all states together.
 
-    Returns impulse_error ‖λ₀ − λ‖ / ‖λ‖; factor, s = λ₀·λ / λ₀·λ₀, the best for all; scaled_error ‖s λ₀ − λ‖ / ‖λ‖;
-    correlation of λ₀ and λ, of the normals; velocity_error, the mean of `velocity_errors` without any of `sweeps`, and
-    velocity_error_k after k. Of a start that is zero everywhere, s and the correlation are 0. The velocity errors leave
-    out states whose ‖λ‖ is below a thousandth of the median: where v* is v⁻ but for rounding they mean nothing.
+    Returns a dict with
+
+    * impulse_error, ‖λ₀ − λ‖ / ‖λ‖;
+    * factor, s = λ₀·λ / λ₀·λ₀, by which λ₀ fits best; 0 if λ₀ is zero everywhere;
+    * scaled_error, ‖s λ₀ − λ‖ / ‖λ‖;
+    * correlation of the normal impulses of λ₀ and λ; 0 if λ₀ is zero everywhere;
+    * velocity_error and velocity_error_k, the means of `velocity_errors` before the first sweep and after k of
+      `sweeps`.
+
+    The velocity errors leave out states whose ‖λ‖ is below a thousandth of the median: there v* is v⁻ but for rounding.
     """
     pairs, errors = [], []
     for state in states:
@@ -64,11 +70,11 @@ def start_quality(states: Iterable[State], start, *, sweeps: Sequence[int] = SWE
 def held_out_errors(
     states: Iterable[State], starts: Mapping[str, object], *, sweeps: Sequence[int] = SWEEPS
 ) -> dict[str, dict]:
-    """Mean velocity errors of several starts on the same states, for each phase and for "all" (JSON-ready).
+    """Mean and median velocity errors of several starts on the same states, by phase and for "all", as JSON holds them.
 
     starts: name -> callable of `deep_contact.warm_start`. Returns {"sweeps", "phases": phase -> {"states": number,
-    name -> {"mean", "median"}: one number for each of `sweeps`}}. States without a finite error (nothing to solve) are
-    left out.
+    name -> {"mean", "median"}: one number for each of `sweeps`}}. States without a finite error, in which there is
+    nothing to solve, are left out.
     """
     by_phase: dict[str, list] = {name: [] for name in PHASES}
     for state in states:

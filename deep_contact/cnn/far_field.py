@@ -11,8 +11,8 @@ The first four coefficients are a stress tensor S (λ_n = n·S·n, λ_t = t·S·
 are gates on Builtin's impulses and on the residuals of the rows.
 
 The inputs describe the contact problem: its rows before and after Builtin's impulses, as tensors of the normals, which
-do not depend on the arbitrary sign of a normal. All are divided by the state's own residual (the problem is positively
-homogeneous), and unbounded quantities are compressed by arsinh. Symmetries of the square act exactly.
+do not depend on the arbitrary sign of a normal. All inputs are divided by the state's own residual (the problem is
+positively homogeneous), and unbounded quantities are compressed by arsinh. The symmetries of the square act exactly.
 
 An image covers a window: the extent of the contacts, with a margin of one node, so that the network fits any box.
 Lengths are in mean radii; d = 1 is 1 m in the thesis's scene. The network is trained through the solver
@@ -61,19 +61,20 @@ CONTACT_CHANNELS = (
     ),
     "wall",
 )
-"""Splatted at the contacts. Parts: the value, times n_x² − n_y², times 2 n_x n_y (of slip and tangent: t ⊗ n)."""
+"""Channels that are splatted at the contacts. Parts of a quantity: 1 is its value, xx its value times n_x² − n_y², xy
+its value times 2 n_x n_y. For slip and for tangents the factors are those of t ⊗ n."""
 
 BODY_CHANNELS = (
     "bodies",
     *(f"{name}_{when}" for when in ("free", "builtin") for name in ("velocity_x", "velocity_y", "spin")),
 )
-"""Splatted at the centres: velocities after Δt of gravity, without impulses and with Builtin's."""
+"""Channels that are splatted at the centres: velocities after Δt of gravity, without impulses and with Builtin's."""
 
 COEFFICIENTS = tuple(
     "stress_trace stress_xx stress_xy stress_turn builtin_normal_1 builtin_normal_xx builtin_normal_xy builtin_tangent "
     "normal_residual_1 normal_residual_xx normal_residual_xy tangent_residual".split()
 )
-"""What the network predicts at a node."""
+"""The coefficients c_j that the network predicts at a node."""
 
 COARSENING = 2
 """Nodes of the input per node of the output, along an edge."""
@@ -83,15 +84,15 @@ _SMALL = 1e-2
 """
 
 _ROOM = -(-len(CONTACT_CHANNELS + BODY_CHANNELS) // WIDTH) * WIDTH
-"""Channels of an image while it is painted, by vectors; the last ones stay zero."""
+"""Channels of an image while it is painted, a multiple of `WIDTH`; those without a name stay zero."""
 
 WINDOW_SIDES = (9, 17, 25, 33, 49, 65, 97, 129, 193, 257, 385, 513, 769, 1025)
-"""Numbers of nodes along an edge of a window, n = 1 (mod 8): few, because the network is set up for each shape."""
+"""Numbers of nodes that an edge of a window may have, n = 1 (mod 8): few, as the network is set up for each shape."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FarFieldSpec(Spec):
-    """The images of a far-field network, by the input's nodes. Lengths are in mean radii."""
+    """The images of a far-field network. Spacing and support are those of the input, in mean radii."""
 
     spacing: float = 1.0
     support: float = 1.0
@@ -102,7 +103,7 @@ class FarFieldSpec(Spec):
     removed: ClassVar = {"inputs": "all", "correction": True}
 
     def window(self, low: np.ndarray, high: np.ndarray, radius: float) -> Grid:
-        """The grid of the input around contacts from `low` to `high`, (x, y), m, of circles with this mean radius, m.
+        """The grid of the input around contacts from `low` to `high`, (x, y), m, of circles with the mean `radius`, m.
 
         The spacing grows where the contacts extend beyond the largest window.
         """
@@ -113,7 +114,7 @@ class FarFieldSpec(Spec):
 
 
 def window_side(cells: float) -> int:
-    """Nodes along an edge of a window whose contacts span so many cells, with a margin of one cell on each side."""
+    """Nodes along an edge of a window whose contacts span `cells` cells, with a margin of one cell on each side."""
     return WINDOW_SIDES[min(bisect_left(WINDOW_SIDES, cells + 3.0 - ROUNDING), len(WINDOW_SIDES) - 1)]
 
 
@@ -128,10 +129,11 @@ class Description(NamedTuple):
 
 
 def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepProblem | None = None) -> Description:
-    """Describe a state with contacts to the network. symmetry: 0 to 7, as in `images.transform_state`; for training.
+    """The description of a state with contacts for the network.
 
-    problem: the contact problem in float64 with tangents, if it has been built; its rows hold the impulses to correct.
-    Raises ValueError if there is no contact, contacts have not been searched, or the state does not hold together.
+    symmetry: 0 to 7, for training: from 4 on x is mirrored, then `symmetry` mod 4 quarter turns follow. problem: the
+    contact problem in float64 with tangents, if it has been built; its rows hold the impulses to correct.
+    Raises ValueError if there is no contact, contacts have not been searched, or the state is not valid.
     """
     state = with_contacts(state) if problem is None else state
     if state.contacts.count == 0:
@@ -141,7 +143,7 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepP
     measured = _measure(
         state.bodies, state.contacts, rows, free, world.box, world.friction, symmetry >= 4, symmetry % 4
     )
-    # In NumPy, whose arsinh is vectorised.
+    # Here and not in `_measure`: NumPy's arsinh is vectorised.
     np.arcsinh(measured.contact_sizes, out=measured.contact_sizes)
     np.arcsinh(measured.body_sizes, out=measured.body_sizes)
     grid = spec.window(measured.low, measured.high, measured.mean_radius)
@@ -175,9 +177,9 @@ def corrected(description: Description, coefficients: np.ndarray) -> np.ndarray:
 
 
 def nodes_of(description: Description, shape: tuple[int, int]):
-    """Nodes of the flattened output, an image of this shape, around each contact, (m, 4), and their weights, (m, 4).
+    """The four nodes of the flattened output around each contact, (m, 4), and their weights, (m, 4).
 
-    The weights are those of `sph.gather`; a point outside reads the edge of the grid.
+    shape: (rows, columns) of the output. The weights are those of `sph.gather`; a point outside reads the grid's edge.
     """
     grid = description.grid
     return _nodes(description.point, (*grid.origin, COARSENING * grid.spacing[0]), shape)
@@ -185,7 +187,7 @@ def nodes_of(description: Description, shape: tuple[int, int]):
 
 @njit(cache=True, error_model="numpy")
 def _nodes(point, geometry, shape):
-    """`nodes_of` for points (m, 2), m. geometry: of the output's grid, x and y of its first node and spacing, m."""
+    """`nodes_of` for points (m, 2), m. geometry: x and y of the output grid's first node, and its spacing, m."""
     (x0, y0, d), (n_y, n_x), m = geometry, shape, point.shape[0]
     node, weight = np.empty((m, 4), np.int32), np.empty((m, 4), np.float32)
     for k in range(m):
@@ -297,9 +299,9 @@ def _turned(c, s, x, y):
 def _paint(image, geometry, h, measured):
     """Splat `CONTACT_CHANNELS` and `BODY_CHANNELS` as `sph.splat` with poly6 and the normalization "particle" does.
 
-    A particle with no node within h goes to the nearest node; a circle outside the image touches nothing and is left
-    out. image: (n_y, n_x, `_ROOM`), float32. geometry: x and y of its first node and spacing, m. measured: `_Measured`,
-    compressed.
+    A particle with no node within h goes to the nearest node. A circle outside the image has no contact and is left
+    out. image: (n_y, n_x, `_ROOM`), float32, written in place. geometry: x and y of its first node, and its spacing, m.
+    measured: `_Measured`, compressed.
     """
     n_y, n_x, _ = image.shape
     first = len(CONTACT_CHANNELS)
@@ -329,9 +331,9 @@ def _paint(image, geometry, h, measured):
 
 @njit(cache=True, error_model="numpy")
 def _add(image, geometry, h, point, values, begin, end):
-    """Add a particle's values by their vectors of `WIDTH` channels from `begin` to `end`.
+    """Splat a particle's values into `image`, in place: their vectors of `WIDTH` channels from `begin` to `end`.
 
-    `sph.splat` writes float64, knows all kernels and checks its arguments, which takes many times as long.
+    `sph.splat` would take many times as long: it writes float64, knows all kernels and checks its arguments.
     """
     (x0, y0, d), (n_y, n_x, _) = geometry, image.shape
     x, y = point[0] - x0, point[1] - y0

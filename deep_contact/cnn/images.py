@@ -19,22 +19,24 @@ from deep_contact.state import State, World, native
 from deep_contact.state.checks import check_solution
 from deep_contact.validation import number
 
-# A particle that no node is within h of goes to the nearest node, and one outside the box to its edge. A contact with a
-# wall lies outside by a part of its penetration; on no node, its impulse would become a start of zero.
+# A particle without a node within h goes to the nearest node, and a particle outside the box to the edge of the box.
+# The contact with a wall lies outside by a part of its penetration: without a node its impulse would be lost.
 _REACH = {"normalization": "particle", "unreached": "nearest", "outside": "clamp"}
 
 CHANNELS = ("mass", "velocity_x", "velocity_y", "spin", "normal_x")
-"""The five inputs of the thesis's network: of the bodies, kg, m/s before gravity, rad/s; of the contacts, n_x."""
+"""The five inputs of the thesis's network: mass, velocity before gravity and spin of the bodies, kg, m/s, rad/s; n_x of
+the contacts."""
 
 TARGETS = ("normal_impulse", "tangent_impulse")
-"""Its outputs, N·s."""
+"""The two outputs of the thesis's network, N·s."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spec:
-    """What the images of a network are; model files hold it as JSON.
+    """The definition of a network's images; model files hold it as JSON.
 
-    spacing: of the nodes. support: h of the splat, in the same unit. Raises ValueError naming the field and the value.
+    spacing: distance of neighbouring nodes. support: h of the splat, in the unit of the spacing. Raises ValueError
+    naming the field and the value.
     """
 
     spacing: float
@@ -47,7 +49,7 @@ class Spec:
     constants: ClassVar[dict] = {}
     """Field of a file that is no field of the dataclass -> its value."""
     removed: ClassVar[dict] = {}
-    """The same of files of earlier versions: name -> the only value that still has a meaning."""
+    """Field of files of earlier versions -> the only value that is still read."""
 
     def __post_init__(self):
         for name in ("spacing", "support"):
@@ -59,7 +61,7 @@ class Spec:
 
     @classmethod
     def from_dict(cls, values: dict):
-        """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields, also of earlier versions."""
+        """The spec with the fields of `to_dict`. Raises ValueError for missing, unknown, bad and outdated fields."""
         names, only = {field.name for field in fields(cls)}, cls.constants | cls.removed
         if not isinstance(values, dict) or set(values) - only.keys() != names:
             got = sorted(values) if isinstance(values, dict) else values
@@ -73,7 +75,7 @@ class Spec:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageSpec(Spec):
-    """The definition of an image: a particle-normalised splat by poly6. Lengths are in m; the thesis's by default."""
+    """The definition of an image: a particle-normalised splat by poly6. Lengths are in m, by default the thesis's."""
 
     spacing: float = 0.5
     support: float = 0.5
@@ -98,7 +100,7 @@ class ImageSpec(Spec):
 
 @lru_cache(maxsize=16)
 def _grid_over(box: tuple[float, ...], spacing: float) -> Grid:
-    """`Grid.over_box`, whose checks take half of the time of an image, once for each box."""
+    """`Grid.over_box`, computed once for each box: its checks take as long as the splat."""
     return Grid.over_box(box, spacing)
 
 
@@ -128,9 +130,8 @@ def label_image(state: State, spec: ImageSpec) -> np.ndarray:
 def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, np.ndarray]:
     """Impulses (normal, tangent) at the contacts from a network's image, (m,) each, N·s.
 
-    image: (n_y, n_x, 2), N·s. Nothing is projected on the friction cone here.
-    It reads bilinearly (Algorithm 4). Raises ValueError where the image does not fit the spec, or is not finite around
-    a contact.
+    image: (n_y, n_x, 2), N·s, which is read bilinearly (Algorithm 4). Nothing is projected on the friction cone here.
+    Raises ValueError where the image does not fit the spec, or is not finite around a contact.
     """
     state, pixels = with_contacts(state), np.asarray(image, dtype=np.float64)
     expected = (*spec.shape(state.world), len(spec.targets))
@@ -142,7 +143,7 @@ def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, np.ndar
 
 
 def with_contacts(state: State) -> State:
-    """The state, checked. Raises ValueError where its contacts have not been searched, or it does not hold together."""
+    """The state, checked. Raises ValueError where its contacts have not been searched, or it is not valid."""
     if state.contacts is None:
         raise ValueError("state.contacts: expected contacts, got None; `dc.find_contacts(state)` finds them")
     return ready(state)

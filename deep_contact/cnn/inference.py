@@ -29,15 +29,15 @@ from deep_contact.state.equality import by_value
 from deep_contact.validation import brief, expect, list_of
 
 _compiling = RLock()
-"""Held while a network is built or traced, by one thread for all that wait for it."""
+"""Lock of the thread that builds or traces a network, while others wait for the result."""
 
 
 def load_model(path=None) -> LearnedModel:
     """The model of a file, or of a name in `models/registry.json`: "model", "far field", "far field, no past".
 
-    By default "model", the thesis's network, for the thesis's box of 30 m × 30 m. It needs Keras; the far-field
-    networks do not, and take any box. No code in the file is run. Raises FileNotFoundError where there is no file,
-    ModuleNotFoundError where Keras is needed and missing, and `ModelFileError` (a ValueError) where the file is
+    The default is "model", the thesis's network, for the thesis's box of 30 m × 30 m. It needs Keras. The far-field
+    networks need no Keras, and take any box. No code in the file is run. Raises FileNotFoundError where there is no
+    file, ModuleNotFoundError where Keras is needed and missing, and `ModelFileError` (a ValueError) where the file is
     damaged, foreign or changed, naming the field.
     """
     path = network_file(path)
@@ -48,7 +48,7 @@ def load_model(path=None) -> LearnedModel:
 
 
 class Card(dict):
-    """Where a network comes from and what it is worth; printed, long entries are cut. `dict(card)` has all."""
+    """The origin of a network and its measured errors. Printing a card cuts long entries; `dict(card)` has all."""
 
     def __repr__(self) -> str:
         texts = ((name, repr(value)) for name, value in self.items())
@@ -58,17 +58,17 @@ class Card(dict):
 @by_value
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LearnedModel:
-    """A network and what is needed to use it: state in, impulses at its contacts out.
+    """A network and what is needed to use it: from a state to the impulses at its contacts.
 
-    `predict` does all; `input` and `impulses` are its two ends, for any Keras model between them:
+    `predict` goes all the way. `input` and `impulses` are its two ends, for any Keras model between them:
 
         x = net.input(state)
         y = keras_model(x[None])
         normal, tangent = net.impulses(state, y)
 
-    source: the network, any `keras.Model` of the spec's channels and targets; for a far-field network as its file holds
-    it. spec: what its images are made of. card: where it comes from, what it is worth. box: (width, height) that a
-    network of fixed size was made for, m, or None. path: the file it was read from, or None.
+    source: the network, any `keras.Model` with the spec's channels and targets; a far-field network as its file holds
+    it. spec: the definition of its images. card: its origin and its errors. box: (width, height) of the only box that a
+    network of fixed size takes, m, or None. path: the file that it was read from, or None.
     """
 
     source: object
@@ -87,7 +87,7 @@ class LearnedModel:
 
     @cached_property
     def network(self):
-        """The `keras.Model`."""
+        """The network as a `keras.Model`, built on first use."""
         with _compiling:
             if not isinstance(self.source, StoredNetwork):
                 return self.source
@@ -102,10 +102,11 @@ class LearnedModel:
         return self.seen(state)[0]
 
     def impulses(self, state: State, output, *, project: bool = True) -> tuple[np.ndarray, np.ndarray]:
-        """(λ_n, λ_t) at the state's contacts from what a network gave for `input(state)`, (m,) each, N·s.
+        """(λ_n, λ_t) at the state's contacts, (m,) each, N·s, from a network's output for `input(state)`.
 
-        output: (n_y, n_x, targets), flat or not, with or without a batch of one. project: on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
-        Raises ValueError naming the shape that was expected and the one that came.
+        output: (n_y, n_x, targets), flat or not, with or without a batch of one. project: whether the impulses are
+        projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n. Raises ValueError naming the shape that was expected and the one that
+        came.
         """
         image, read = self.seen(state)
         shape, pixels = self._output_shape(image.shape), np.asarray(output, np.float32)
@@ -126,8 +127,9 @@ class LearnedModel:
     def predict(self, state, *, project=True, problem=None):
         """(λ_n, λ_t) at the state's contacts, (m,) each, N·s; for several states, a list of such pairs.
 
-        project: on λ_n ≥ 0 and |λ_t| ≤ μ λ_n, else as the network has them. problem: of `step_problem(state)`, if it
-        is at hand; a far-field network corrects the impulses of its rows. Raises as `input`.
+        project: whether the impulses are projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n. problem: the result of
+        `step_problem(state)`, if it has been computed; a far-field network corrects the impulses of its rows. Raises the
+        errors of `input`.
         """
         if not isinstance(state, State):
             states = list_of("state", State, state)
@@ -144,7 +146,7 @@ class LearnedModel:
     def run(self, image: np.ndarray) -> np.ndarray:
         """The network alone: image (n_y, n_x, channels) to image (n_y, n_x, targets), float32.
 
-        A far-field network takes n = 1 (mod 8) nodes a side, and gives (rows, columns, 12), at every second node.
+        A far-field network takes n = 1 (mod 8) nodes a side, and returns (rows, columns, 12), at every second node.
         Raises ValueError naming the shape that was expected and the one that came.
         """
         image = np.asarray(image, np.float32)
@@ -157,7 +159,7 @@ class LearnedModel:
         return self._compiled[image.shape](image)
 
     def seen(self, state, problem=None):
-        """The network's input for a state, and a function of its output: (λ_n, λ_t)."""
+        """The network's input for a state, and the function from its output to (λ_n, λ_t)."""
         self._check_scene(state)
         return input_image(state, self.spec), lambda image: read_back(image, state, self.spec)
 
@@ -188,7 +190,7 @@ class LearnedModel:
             raise ModelFileError(f"shape: expected images of {size} nodes, the network's only size, got {shape}")
 
     def describe(self) -> dict[str, str]:
-        """What the model is, and what it takes and gives, in words."""
+        """The model's file, architecture and size, its input and its output, in words."""
         return {
             "model": "not in a file" if self.path is None else self.path.name,
             "architecture": str(self.card.get("architecture", "unknown")),
@@ -206,9 +208,9 @@ class LearnedModel:
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class FarFieldModel(LearnedModel):
-    """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds.
+    """A far-field network (`cnn.far_field`), whose prediction corrects Builtin's start, which the state holds.
 
-    It warns of a state that holds none: `warm_start.FarFieldNoPast` predicts from positions alone.
+    A state without impulses of a step before gets a warning: `warm_start.FarFieldNoPast` predicts from positions alone.
     """
 
     def predict(self, state, *, project=True, problem=None) -> Any:
@@ -233,7 +235,7 @@ class FarFieldModel(LearnedModel):
 
 
 def ends(spec: ImageSpec | FarFieldSpec, box=None) -> dict[str, str]:
-    """What a network of this spec takes and gives, in words."""
+    """Input and output of a network with this spec, in words."""
     sides, gives = "any number of nodes a side", f"images of {', '.join(spec.targets)}"
     if isinstance(spec, FarFieldSpec):
         sides, gives = "n = 8 k + 1 nodes a side", f"{len(spec.targets)} coefficients at every second node"
@@ -243,13 +245,13 @@ def ends(spec: ImageSpec | FarFieldSpec, box=None) -> dict[str, str]:
 
 
 def _cut(impulses, state: State, project: bool) -> tuple[np.ndarray, np.ndarray]:
-    """(λ_n, λ_t) as arrays of their own, projected on the friction cone if asked for."""
+    """(λ_n, λ_t) as arrays of their own, projected on the friction cone if `project`."""
     normal, tangent = (np.ascontiguousarray(row) for row in impulses)
     return projected(normal, tangent, state.world.friction) if project else (normal, tangent)
 
 
 def model_of(model: LearnedModel | str | Path | None) -> LearnedModel:
-    """The model that is meant, as by `load_model`; a file is read again only if it has changed."""
+    """The model itself, or that of a name or file as for `load_model`. A file is read again only if it has changed."""
     if isinstance(model, LearnedModel):
         return model
     path = network_file(model)

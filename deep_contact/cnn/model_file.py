@@ -41,21 +41,22 @@ _ARGUMENTS = frozenset(
     "kernel_regularizer kernel_size max_value momentum name negative_slope output_padding padding pool_size rate scale "
     "strides threshold units use_bias".split()
 )
-"""Their arguments that are kept. Without the initializers, whose arguments change most and which weights replace."""
+"""The layers' arguments that are kept. Initializers are not: they change most between versions, and weights replace
+them."""
 
 _NETWORKS = {"Functional": ("name", "input_layers", "output_layers"), "Sequential": ("name",)}
-"""Kind of network -> what is kept of its configuration beside the layers."""
+"""Kind of network -> fields of its configuration that are kept beside the layers."""
 
 _ACTIVATIONS = (None, "linear", "relu", "tanh")
 
 
 class ModelFileError(FileError):
-    """A model file is not what it should be, or does not fit the scene; the message names the field."""
+    """A fault of a model file, or a network that does not fit the scene; the message names the field."""
 
 
 @by_value
 class StoredNetwork(NamedTuple):
-    """A network as a file holds it. config: Keras's, checked and reduced. weights: layer -> its arrays, float32."""
+    """A network as a file holds it. config: Keras's, checked and reduced. weights: layer -> arrays, float32."""
 
     path: Path
     config: dict
@@ -130,14 +131,14 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=N
 
 
 def read_metadata(path) -> dict:
-    """The metadata of a model file, checked against its contents, without Keras. Raises as `read_model`."""
+    """The metadata of a model file, checked against its contents, without Keras. Errors as for `read_model`."""
     return _read(Path(path))[2]
 
 
 def read_model(path):
-    """(network, spec, metadata) of a model file. network: a `keras.Model`; of a far-field network a `StoredNetwork`.
+    """(network, spec, metadata) of a model file. network: a `keras.Model`; a far-field network is a `StoredNetwork`.
 
-    Raises FileNotFoundError where there is no file, ModelFileError where it is not a complete model file of ours.
+    Raises FileNotFoundError where there is no file, ModelFileError where it is no complete model file of this package.
     """
     network, spec, metadata = _read(Path(path))
     model = network if isinstance(spec, FarFieldSpec) else network.build()
@@ -149,7 +150,7 @@ def read_model(path):
 
 
 def spec_of(metadata: dict) -> ImageSpec | FarFieldSpec:
-    """The spec in the metadata of a file. Raises ValueError naming the field where it is not one."""
+    """The spec in the metadata of a file. Raises ValueError naming the field where they hold none."""
     kind = FarFieldSpec if metadata["spec"].get("kind") == "far field" else ImageSpec
     spec, multiple = kind.from_dict(metadata["spec"]), metadata["coarsening"]
     expect(multiple == spec.multiple, f"coarsening: expected {spec.multiple}, got {multiple!r}")
@@ -159,7 +160,7 @@ def spec_of(metadata: dict) -> ImageSpec | FarFieldSpec:
 def _check_fit(model, weights: dict, spec: ImageSpec | FarFieldSpec, box) -> None:
     """Raise ValueError unless the network takes the spec's images and gives its targets.
 
-    A far-field network by its weights, any other by the shapes of the `keras.Model`.
+    A far-field network is judged by its weights, any other by the shapes of its `keras.Model`.
     """
     if isinstance(spec, FarFieldSpec):
         expected = "expected the layers of architectures.far_field"
@@ -276,7 +277,7 @@ def _metadata(file) -> dict:
 
 
 def _datasets(group) -> dict[str, np.ndarray]:
-    """Name -> array of every dataset below a group, in the order of the names: no more numbers than the file holds."""
+    """Name -> array of every dataset below a group, ordered by name. Raises ValueError beyond the size of the file."""
     arrays = hdf5.read(hdf5.datasets(group), group.file.id.get_filesize())
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()}
 

@@ -16,19 +16,19 @@ FOLDER = "DEEP_CONTACT_MODELS"
 """Environment variable: a folder that is searched before the shipped `models/`."""
 
 RENAMED = {"no_past": "far field, no past", "thesis_factored": "model"}
-"""Name of a network before -> its name now."""
+"""Name of a network in earlier versions -> its name now."""
 
 
 OWN = "LearnedModel(source=keras.models.load_model(…), spec=ImageSpec(…)) of deep_contact.cnn takes your own network"
-"""What to do with a network that Keras has made."""
+"""Hint of error messages for a network that Keras has made."""
 
 
 def network_file(model=None) -> Path:
     """A model file by its name in the registry (default "model"), or by its path from the current folder or `ROOT`.
 
-    Where "models/x.h5" does not exist, it is the registered file "x.h5". Raises FileNotFoundError where there is none,
-    ValueError on a name of an earlier version, and ModelFileError where the file of a registered name has another
-    SHA-256 than the registry says.
+    A path "models/x.h5" that does not exist stands for the registered file "x.h5". Raises FileNotFoundError where there
+    is no such file, ValueError for a name of an earlier version, and ModelFileError where the file of a registered name
+    has another SHA-256 than the registry says.
     """
     is_name = model is None or isinstance(model, (str, os.PathLike))
     expect(is_name, f"model: expected a name or the path of a file of this package, got {brief(model)}; {OWN}")
@@ -60,9 +60,9 @@ def network_file(model=None) -> Path:
 
 
 def registered() -> dict[str, dict]:
-    """Name -> {"file": path below the folder, "sha256", "command": how it was trained, "data": their hash}.
+    """Name -> {"file": path below the folder, "sha256", "command": how it was trained, "data": hash of its data}.
 
-    Raises ModelFileError where a registry.json is something else.
+    Raises ModelFileError where registry.json holds anything else.
     """
     paths = [folder / "registry.json" for folder in (ROOT / "models", *_folders())]
     path = next((path for path in paths if path.is_file()), None)
@@ -85,5 +85,5 @@ def _folders() -> list[Path]:
 
 @lru_cache(maxsize=64)
 def _sha256(path: Path, changed_ns: int, size: int) -> str:
-    """Of a file, computed once as long as it does not change."""
+    """SHA-256 of a file, computed again only where its time of change or its size differs."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -32,13 +32,13 @@ def cosine(epochs: int, rate: float) -> Callable[[int], float]:
 SCHEDULES = {
     "algorithm 6": lambda epochs, rate: algorithm_6,
     "appendix b": lambda epochs, rate: appendix_b,
-    # Over the epochs of the run in place of 1,000, so that a shorter run takes each of the rates.
+    # Scaled from 1,000 epochs to those of the run, so that a shorter run takes each of the rates.
     "scaled algorithm 6": lambda epochs, rate: lambda epoch: algorithm_6(epoch * 1000 // epochs),
     "scaled appendix b": lambda epochs, rate: lambda epoch: appendix_b(epoch * 1000 // epochs),
     "cosine": cosine,
     "constant": lambda epochs, rate: lambda epoch: rate,
 }
-"""Name -> schedule by the number of epochs, which the `BY_LENGTH` use, and the rate."""
+"""Name -> function (number of epochs, rate) -> schedule. The number of epochs matters to those of `BY_LENGTH` alone."""
 
 BY_LENGTH = ("scaled algorithm 6", "scaled appendix b", "cosine")
 """Schedules whose rates depend on the number of epochs."""

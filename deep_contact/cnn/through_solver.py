@@ -57,9 +57,9 @@ def solved_problem(state: State) -> SolvedProblem:
 
 
 def errors_after(problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int]) -> np.ndarray:
-    """`evaluation.velocity_errors` on packed arrays, from a start (m, 2), projected first; sweeps increase.
+    """`evaluation.velocity_errors` on packed arrays, from a start (m, 2) that is projected first.
 
-    0 where there is nothing to solve.
+    sweeps: increasing. The errors are 0 where there is nothing to solve.
     """
     return loss_and_gradient(problem, start, sweeps, np.zeros(len(sweeps)))[2]
 
@@ -67,10 +67,11 @@ def errors_after(problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int
 def loss_and_gradient(
     problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int], weights: Sequence[float]
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """(loss, gradient (m, 2) with respect to the start, errors): loss = Σ weight · error after so many sweeps.
+    """(loss, gradient (m, 2) with respect to the start, errors): loss = Σ_c weights[c] · errors[c].
 
-    The start is projected on λ_n ≥ 0 and the cone before the first sweep. Where the projection cuts a negative normal
-    impulse off, the gradient is kept if it asks for more impulse; otherwise such a contact could never learn to push.
+    errors[c] is the velocity error after sweeps[c] sweeps. The start is projected on λ_n ≥ 0 and the cone before the
+    first sweep. Where the projection cuts a negative normal impulse off, the gradient is kept if it asks for more
+    impulse; otherwise such a contact could never learn to push.
     """
     sweeps, weights, start = np.asarray(sweeps), np.asarray(weights, float), np.array(start, float)
     in_cone = np.column_stack(projected(*start.T.copy(), problem.friction))
@@ -86,7 +87,7 @@ def loss_and_gradient(
 
 @njit(cache=True)
 def _errors_and_gradient(problem, start, sweeps, weights):
-    """(errors (c,), gradient (m, 2) of Σ weight · error by a start in the cone)."""
+    """(errors (c,), gradient (m, 2) of Σ weights · errors with respect to a start in the cone)."""
     rows, free, solution, friction = problem
     n, count = free.shape[0] - 4, sweeps[-1]
     # s = ω r has half the inertia of the mass.
@@ -131,8 +132,8 @@ def _velocities(rows, free, impulse):
 def forward_sweep(rows, friction, velocity, impulse, clamped):
     """The engine's sweep over `impulse` and `velocity`, in place; writes to `clamped`, (m, 2), int8, which rows it cut.
 
-    clamped: 1 where λ_n was cut at 0; ±1 where λ_t was cut at ±μ λ_n; 0 where a row was free. The adjoint needs them,
-    and the engine's own sweep does not keep them.
+    clamped: 1 where λ_n was cut at 0; ±1 where λ_t was cut at ±μ λ_n; 0 where a row was free. The adjoint needs
+    these flags, and the engine's own sweep does not keep them.
     """
     for i in range(rows.body.shape[0]):
         row, (v_n, v_t) = rows.data[i], relative_velocity(rows, velocity, i)
@@ -168,7 +169,7 @@ def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
             by_impulse[i, 0] += clamped[i, 1] * friction * d_t
         if clamped[i, 0] != 0:
             by_impulse[i, 0] -= d_n
-        # Derivatives by the velocities v_n and v_t, which do not matter to a row that was cut.
+        # Derivatives by the velocities v_n and v_t, on which a row that was cut does not depend.
         g_n = -row[NORMAL_MASS] * d_n if clamped[i, 0] == 0 else 0.0
         g_t = -row[TANGENT_MASS] * d_t if clamped[i, 1] == 0 else 0.0
         g_x, g_y = g_n * row[N_X] + g_t * row[N_Y], g_n * row[N_Y] - g_t * row[N_X]

@@ -11,11 +11,11 @@ from deep_contact.state import State
 
 
 def contact_table(state: State, path=None) -> np.ndarray:
-    """The contacts as a structured array, which `pandas.DataFrame` takes; with a path, written there as CSV as well.
+    """The contacts of a state as a structured array, which `pandas.DataFrame` takes.
 
     Columns: a, the number of a circle; b, a text: the number of a circle, "floor" … or "segment 3"; x, y, separation,
-    m; n_x, n_y, the unit normal; normal_impulse, tangent_impulse, N·s; force_x, force_y on b, N. Raises OSError where
-    the file cannot be written.
+    m; n_x, n_y, the unit normal; normal_impulse, tangent_impulse, N·s; force_x, force_y on b, N. path: a CSV file with
+    these columns, which is written too. Raises OSError where the file cannot be written.
     """
     state, force = ready(state, of_step=True), forces(state).contact
     c = state.contacts

@@ -1,4 +1,4 @@
-"""Files written in one move, so that a reader never sees half of one; and files from anywhere, read with a limit."""
+"""Files written in one move, so that a reader never sees half a file; and files of any origin, read with a limit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pathlib import Path
 
 
 class FileError(ValueError):
-    """A file that does not hold what it should; names file, field and value."""
+    """A file does not hold what it should; the message names file, field and value."""
 
 
 @contextmanager
@@ -31,14 +31,14 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 
 
 def check_writable(path: str | os.PathLike) -> None:
-    """Raise OSError, naming the path, where `replacing` could not write there; it leaves nothing but the folder."""
+    """Raise OSError, naming the path, where `replacing` could not write. Only the folder of the path is left behind."""
     with _beside(path) as (_, temporary):
         temporary.touch()
 
 
 @contextmanager
 def _beside(path: str | os.PathLike) -> Iterator[tuple[Path, Path]]:
-    """The file that a path means, and a path beside it of no other writer, which is removed at the end."""
+    """The file that a path leads to, and a temporary path beside it that no other writer has; removed at the end."""
     target = Path(os.path.realpath(path))
     if target.exists():
         refuse_special(target, OSError)
@@ -47,7 +47,7 @@ def _beside(path: str | os.PathLike) -> Iterator[tuple[Path, Path]]:
     try:
         yield target, temporary
     except OSError as error:
-        is_nameless = error.filename is None and error.errno is not None  # as of a full disk
+        is_nameless = error.filename is None and error.errno is not None  # as on a full disk
         if is_nameless or error.filename == str(temporary):
             error.filename, error.filename2 = str(path), None
         raise
@@ -82,7 +82,7 @@ def _json(value, indent: str = "") -> str:
 
 
 def refuse_special(path: Path, error: type[Exception]) -> None:
-    """Raise an `error` for a folder, a device, or a pipe, which would wait for its writer; OSError for no file."""
+    """Raise an `error` for a folder, a device, or a pipe, which would wait for its writer; OSError without a file."""
     if not stat.S_ISREG(path.stat().st_mode):
         raise error(f"{path}: expected a file, got a folder, pipe or device")
 

@@ -1,8 +1,9 @@
-"""HDF5 files from anywhere, read with limits, and with errors that name the file.
+"""HDF5 files of any origin, read with limits, and with errors that name the file.
 
-`opened` opens one. `dataset` finds an array that lies in the file itself, `datasets` all of them below a group; neither
-reads it. `read` reads them, once it is known how large they are together. The HDF5 library alone follows links into
-other files, fills memory with fill values that no file holds, and unpacks a chunk to whatever size was packed.
+`opened` opens a file. `dataset` finds an array that lies in the file itself, and `datasets` finds all arrays below a
+group; neither reads their numbers. `read` reads arrays, after a check of their size together. Without these limits the
+HDF5 library follows links into other files, fills memory with fill values that the file does not hold, and unpacks a
+chunk to any size.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ from deep_contact.io.files import refuse_special
 from deep_contact.validation import expect
 
 MOST_PACKED = 1032
-"""Bytes that gzip packs into one at best: an array of more bytes for each stored one is not in its file."""
+"""Most bytes that gzip packs into one byte: an array with more bytes for each stored byte is not in its file."""
 
 _FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_LZF, h5py.h5z.FILTER_FLETCHER32}
 _HARMLESS = 2**28
-"""Bytes to which a chunk may unpack unseen."""
+"""Most bytes to which a chunk may unpack without a check."""
 
 _MOST_TEXTS = 1000
 
@@ -35,7 +36,7 @@ _MOST_TEXTS = 1000
 def opened(path, error: type[ValueError] = ValueError) -> Iterator[h5py.File]:
     """A file, open for reading. What its contents raise in the block becomes an `error` that names the file.
 
-    Raises OSError where it cannot be opened.
+    Raises OSError where the file cannot be opened.
     """
     path = Path(path)
     refuse_special(path, error)
@@ -61,7 +62,7 @@ def member(group, name: str):
 
 
 def dataset(group, name: str) -> h5py.Dataset:
-    """An array of the group, before it is read. Raises ValueError unless it is in this file."""
+    """An array of the group, before it is read. Raises ValueError unless it lies in this file."""
     array, where = member(group, name), f"{group.name}/{name}".strip("/")
     is_here = isinstance(array, h5py.Dataset) and not (array.is_virtual or array.external)
     expect(is_here, f"{where}: expected an array in this file, got {array}")
@@ -72,7 +73,7 @@ def dataset(group, name: str) -> h5py.Dataset:
 
 
 def datasets(group, prefix: str = "", seen: frozenset | set = frozenset()) -> dict[str, h5py.Dataset]:
-    """All arrays below the group by their paths, as `dataset` finds them. Raises ValueError for one met twice."""
+    """All arrays below the group by their paths, as `dataset` finds them. Raises ValueError for an array met twice."""
     below, seen = {}, seen or set()
     for name in sorted(group):
         item = member(group, name)
@@ -88,7 +89,7 @@ def datasets(group, prefix: str = "", seen: frozenset | set = frozenset()) -> di
 
 
 def read(arrays: Mapping[str, h5py.Dataset], most: int) -> dict[str, np.ndarray]:
-    """The arrays, of numbers. Raises ValueError where they have more than `most` bytes together."""
+    """The contents of the arrays. Raises ValueError unless they are numbers, of at most `most` bytes together."""
     for name, data in arrays.items():
         expect(data.dtype.kind in "iuf", f"{name}: expected numbers, got {data.dtype}")
     size = sum(data.nbytes for data in arrays.values())
@@ -97,7 +98,7 @@ def read(arrays: Mapping[str, h5py.Dataset], most: int) -> dict[str, np.ndarray]
 
 
 def attribute(item, name: str):
-    """An attribute of a group or file. Raises ValueError where there is none, or one larger than the file."""
+    """An attribute of a group or file. Raises ValueError where it is missing, or larger than the file."""
     expect(name in item.attrs, f"{name}: expected this attribute, got none")
     stored = item.attrs.get_id(name)
     count = math.prod(stored.shape or ())
@@ -108,7 +109,7 @@ def attribute(item, name: str):
 
 
 def _check_chunks(data: h5py.Dataset, name: str) -> None:
-    """Raise ValueError where a chunk was packed by other filters than ours, or unpacks to more than its size."""
+    """Raise ValueError where a chunk was packed by a filter not in `_FILTERS`, or unpacks to more than its size."""
     if data.chunks is None:
         return
     packing = data.id.get_create_plist()
@@ -121,16 +122,16 @@ def _check_chunks(data: h5py.Dataset, name: str) -> None:
     for place in product(*(range(0, length, step) for length, step in zip(data.shape, data.chunks))):
         if (data.id.get_chunk_info_by_coord(place).size or 0) * MOST_PACKED > _HARMLESS:
             left_out, packed = data.id.read_direct_chunk(place)
-            is_packed = not left_out >> filters.index(h5py.h5z.FILTER_DEFLATE) & 1  # what gzip makes no smaller is not
+            is_packed = not left_out >> filters.index(h5py.h5z.FILTER_DEFLATE) & 1  # gzip may leave a chunk as it is
             if is_packed and len(zlib.decompressobj().decompress(packed, size + 1)) > size:
                 raise ValueError(f"{name}: expected chunks of {size} bytes, got one that unpacks to more")
 
 
 def endless_heap(path) -> str:
-    """What makes HDF5 walk for ever through a heap of texts in a file, in words; empty where nothing does.
+    """The damage that makes HDF5 walk for ever through a heap of texts, in words; empty where there is none.
 
-    The library goes on by the size of each free object, and takes any (1.14 and 2.0, `H5HG__cache_heap_deserialize`).
-    All other damage it reports itself. (HDF5 File Format Specification, III.E, Global Heap.)
+    The library steps on by the size of each free object, however small (1.14 and 2.0, `H5HG__cache_heap_deserialize`).
+    It reports all other damage itself. (HDF5 File Format Specification, III.E, Global Heap.)
     """
     data, at = Path(path).read_bytes(), 0
     while (at := data.find(b"GCOL\x01\0\0\0", at)) >= 0:
@@ -139,7 +140,7 @@ def endless_heap(path) -> str:
             index, _, _, size = _OBJECT.unpack_from(data, at)
             if index == 0 and size < _OBJECT.size:
                 return f"a free object at byte {at} of {size} bytes"
-            # Free space, object 0, counts its own head; the others do not, and are padded to 8 bytes.
+            # The size of free space, object 0, includes its head; that of others does not, and is padded to 8 bytes.
             at += size if index == 0 else _OBJECT.size + (size + 7) // 8 * 8
     return ""
 

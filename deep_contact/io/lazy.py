@@ -36,7 +36,7 @@ def attach(package: str, source: str) -> tuple[Callable, Callable, list[str]]:
         owner = importlib.import_module(module)
         if module == package or not hasattr(owner, name):
             return importlib.import_module(f"{module}.{name}")
-        # Kept, since looking it up takes 3 µs, a good part of what `step` takes beside its computation.
+        # Kept as an attribute: a look-up takes 3 µs, a good part of what `step` takes beside its computation.
         setattr(sys.modules[package], public, getattr(owner, name))
         return getattr(owner, name)
 

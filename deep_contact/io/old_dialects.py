@@ -1,7 +1,7 @@
 """State files of the thesis's authors, put into the canonical form of `state_xml` before they are read.
 
-data/README.md describes the two dialects, and how the gaps are filled. `state_xml` fills two of them: separations, and
-the box where the file has none.
+data/README.md describes the two dialects, and how their gaps are filled. `state_xml` fills two of these gaps: the
+separations, and the box where the file has none.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def modernise(root, source: str) -> None:
         if root.find(container) is None and (is_flat or root.find(tag) is not None):
             _add(root, container).extend(root.findall(tag))
     contacts = root.findall("contacts/contact")
-    by_index(contacts)  # so that a file of nothing but contacts is refused at once
+    by_index(contacts)  # so that a file of contacts alone is refused at once
     _complete_settings(root, source)
     _complete_shapes(root.iterfind("bodies/body"), contacts)
     solved = root.find("contacts") is not None and (not contacts or root.find("contacts/contact/impulse") is not None)
@@ -85,10 +85,10 @@ def _compact(element, text: str) -> str:
 
 
 def _complete_shapes(bodies, contacts: list) -> None:
-    """Give circles their radius and the box its corners, of what their shape or the first of their contacts prints.
+    """Give circles their radius and the box its corners, as their shape or the first of their contacts prints them.
 
-    A circle that nothing prints has the radius of a solid disc of its inertia; such a box remains without corners. A
-    body has neither a shape nor an orientation where a file has only what section 5.2.1 lists.
+    Where no radius is printed, a circle gets that of a solid disc with its mass and inertia. Where no corners are
+    printed, the box stays without them. A file with only what section 5.2.1 lists has no shapes and no orientations.
     """
     printed = {}
     for contact in contacts:
@@ -104,7 +104,7 @@ def _complete_shapes(bodies, contacts: list) -> None:
             _add(body, "orientation", theta="0.0")
         if not (len(shape) or "radius" in shape.attrib):
             _complete_shape(body, shape, is_box, printed)
-        if not is_box and body.find("inertia") is None:  # as in files of 1 to 14 May 2018: a solid disc's
+        if not is_box and body.find("inertia") is None:  # as in files of 1 to 14 May 2018: that of a solid disc
             mass, radius = to_float(read_text(_part(body, "mass"), "value")), to_float(read_text(shape, "radius"))
             _add(body, "inertia", value=repr(0.5 * mass * radius * radius))
 
@@ -140,7 +140,7 @@ def _part(body, tag: str):
 
 
 def _complete_contacts(root, contacts: list) -> None:
-    """Give contacts a normal of two numbers; a start of zero, and the start as impulse, where no contact has one."""
+    """Give contacts a normal of two numbers; where no contact has them, a start of zero and the start as impulse."""
     for contact in contacts:
         normal = contact.find("normal")
         if normal is not None and "normal" in normal.attrib:

@@ -21,7 +21,7 @@ PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotli
 def provenance(*, seed: int | None = None, wall_s: float = 0.0, options: dict | None = None) -> dict:
     """Version, commit, Python, packages, processor, seed and wall time in seconds, as results files record them.
 
-    options: of the run; with them also "inputs", the digests of the files that they name, by the paths in them.
+    options: those of the run; with them the record has "inputs" too: path of each file that they name -> its digest.
     The name of the machine is not recorded. No package is imported to learn its version.
     """
     record = {
@@ -39,8 +39,8 @@ def provenance(*, seed: int | None = None, wall_s: float = 0.0, options: dict | 
 def commit() -> str:
     """The 40 digits of the package's commit; "unknown" for an installed package or without git.
 
-    "+changes" follows the digits if tracked files differ from the commit. Results under data/reference are not counted:
-    they are made one after the other, and do not make each other.
+    "+changes" follows the digits if tracked files differ from the commit. Results under data/reference do not count:
+    they are made one after the other, and none depends on another.
     """
     try:
         # An installed package may lie inside some other project's checkout: only a tracked one has a commit.
@@ -53,9 +53,10 @@ def commit() -> str:
 
 
 def digests(options) -> dict[str, str]:
-    """SHA-256 of each file that a run's options name, such as model files, by its path there.
+    """Path -> SHA-256 of each file that a run's options name, such as model files.
 
-    options: dicts, lists and values, in each other; text that names no file here or in the package's folders is none.
+    options: dicts, lists and values, nested. A text is a path where a file of that name exists here or in the package's
+    folders.
     """
     if isinstance(options, dict):
         options = list(options.values())

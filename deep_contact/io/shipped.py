@@ -1,4 +1,4 @@
-"""Files that come with the package: `models/`, `scripts/`, `data/`. In a wheel they lie in it, otherwise beside it."""
+"""Files that come with the package: `models/`, `scripts/`, `data/`. In a wheel they lie inside it, else beside it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 ROOT = _PACKAGE if (_PACKAGE / "models").is_dir() else _PACKAGE.parent
-"""The folder that holds them. `setup.py` says which of their files a wheel has."""
+"""The folder of `models/`, `scripts/` and `data/`. `setup.py` says which of their files a wheel has."""
 
 _STATE = ".xml.gz"
 
@@ -25,7 +25,7 @@ def sample_file(name: str = "impact_154") -> Path:
 
 
 def sample_names() -> list[str]:
-    """The names that `sample_file` knows, by their steps. Raises FileNotFoundError where there are none."""
+    """The names that `sample_file` knows, ordered by step. Raises FileNotFoundError where there are none."""
     folder = ROOT / "data" / "sample"
     names = [path.name.removesuffix(_STATE) for path in folder.glob(f"*{_STATE}")]
     if not names:

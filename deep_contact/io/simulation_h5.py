@@ -1,13 +1,13 @@
 """Simulations as HDF5 files: `write_simulation`, `read_simulation`, `simulation_info`.
 
-One file a simulation, `<folder>/sim_0000.h5`, holds the states that it is given exactly (float64), so that any
-image can be made of it later, for any grid, kernel and set of channels. data/README.md has the meaning of its
-attributes and arrays (`_ARRAYS`); beside those a file has the attributes scales (8,), the fields of `ContactScales`,
-segments (4 S,), surface_speeds (S,) and segment_velocities (4 S,), where the world has any. Where segments move it
-has their places in each state; where something drives a run it has the work that was done.
+A simulation is one file, `<folder>/sim_0000.h5`. It holds the states exactly (float64), so that any image can be made
+of them later, for any grid, kernel and set of channels. data/README.md has the meaning of the attributes and arrays
+(`_ARRAYS`). Where the world has them, there are also the attributes scales (8,), the fields of `ContactScales`,
+segments (4 S,), surface_speeds (S,) and segment_velocities (4 S,). Where segments move, an array has their places in
+each state. Where kinematics or external forces do work on the circles, an array has this work until each state.
 
-`digest` is the SHA-256 of the attributes and the unpacked arrays in a fixed order, the same for every compression; it
-is checked on reading. Every fault of a file is a `DataFileError`.
+`digest` is the SHA-256 of the attributes and the unpacked arrays in a fixed order, the same for every compression. It
+is checked when the arrays are read. Every fault of a file is a `DataFileError`.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ FORMAT = "deep-contact simulation"
 VERSION = 1
 
 MAX_BYTES = 2**31
-"""Largest simulation that is read, unpacked."""
+"""Most bytes of a simulation in a file, unpacked."""
 
 _MAX_TEXT = 2**16
 _ARRAYS = {
@@ -64,10 +64,10 @@ _ARRAYS = {
     "normal_start": ("<f8", "M"),
     "tangent_start": ("<f8", "M"),
 }
-"""Name -> type in the file, and its dimensions: T states, E = T + 1, n circles, M contacts in all, 2 for x and y."""
+"""Array -> type in the file, and dimensions: T states, E = T + 1, n circles, M contacts in all, 2 for x and y."""
 
 _RARE = {"segment": ("<f8", "TS4"), "work": ("<f8", "T")}
-"""Arrays that not every file has, likewise: of S segments that move; J until each state."""
+"""Optional arrays, as in `_ARRAYS`: the ends of S moving segments, m; the work until each state, J."""
 
 _BODIES, _CONTACTS = tuple(_ARRAYS)[8:12], tuple(_ARRAYS)[12:]
 _TEXTS = ("format", "name", "solver", "seed", "options", "digest")
@@ -79,11 +79,11 @@ _SHARED = ("name", "world", "dt", "solver")
 """Fields that all states of a simulation have in common."""
 
 _MOST_SEGMENTS = 2000
-"""An attribute of an HDF5 file has room for 64 KiB."""
+"""Most segments in a file: an attribute of HDF5 holds at most 64 KiB."""
 
 
 class DataFileError(FileError):
-    """A file of states that cannot be read; names file, field and value."""
+    """A file of states cannot be read; the message names file, field and value."""
 
 
 @by_value
@@ -99,7 +99,7 @@ class StoredSimulation:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of both, hexadecimal; computed where it is first asked for."""
+        """SHA-256 of header and arrays, hexadecimal; computed on first use."""
         return _digest(_attributes(self.header), self.arrays)
 
     @property
@@ -109,11 +109,11 @@ class StoredSimulation:
 
     @property
     def bytes(self) -> int:
-        """Memory of the arrays."""
+        """Memory of the arrays, bytes."""
         return sum(array.nbytes for array in self.arrays.values())
 
     def state(self, index: int) -> StateWithContacts:
-        """State `index`, 0 … T − 1, in arrays of its own; to the last bit what was written."""
+        """State `index`, 0 … T − 1, in arrays of its own; equal to the written one to the last bit."""
         if not 0 <= index < self.count:
             raise IndexError(f"index: expected one from 0 to {self.count - 1}, got {index}")
         a, of_contacts = self.arrays, slice(*self.arrays["contact_offset"][index : index + 2])
@@ -136,9 +136,9 @@ def pack_simulation(
 ) -> StoredSimulation:
     """States of one simulation as arrays.
 
-    states: all of one name, world, dt, solver and the same circles, with contacts; segments may have moved. sweeps,
-    theta: of each state, (T,); -1 and NaN where None. work: until each, (T,), J, or None. seed, options: what made the
-    simulation, anything that JSON holds.
+    states: with contacts, all of one name, world, dt and solver and of the same circles; segments may have moved.
+    sweeps, theta: number of sweeps and last θ, N·s, of each state, (T,); None is stored as -1 and NaN. work: work until
+    each state, (T,), J, or None. seed, options: those that made the simulation, anything that JSON holds.
     Raises ValueError naming the state and the field.
     """
     states = [check_state(state) for state in states]
@@ -189,7 +189,7 @@ def pack_simulation(
 def write_simulation(path, states: Iterable[State], *, compression="gzip", **recorded) -> str:
     """Write states of one simulation to an HDF5 file, whole or not at all. Returns the digest of its contents.
 
-    recorded: as for `pack_simulation`. compression: "gzip" (lossless, every HDF5 reader has it), "lzf" or None.
+    recorded: arguments of `pack_simulation`. compression: "gzip" (lossless, every HDF5 reader has it), "lzf" or None.
     The same arguments give the same bytes. Raises ValueError naming the state and the field.
     """
     simulation = pack_simulation(states, **recorded)
@@ -207,7 +207,7 @@ def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> byte
     with h5py.File(buffer, "w") as file:
         for name, value in (_attributes(simulation.header) | {"digest": simulation.digest}).items():
             if isinstance(value, str):
-                # Of fixed length, which a reader sees before it reads; HDF5 has no text of length 0.
+                # Of fixed length, which a reader knows before it reads the text; HDF5 has no text of length 0.
                 file.attrs.create(name, value.encode(), dtype=f"S{max(1, len(value.encode()))}")
             else:
                 file.attrs.create(name, value, dtype=_NUMBERS[name])
@@ -217,7 +217,7 @@ def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> byte
                 rows = max(1, 2**18 // max(1, array.nbytes // array.shape[0]))
                 options = {"chunks": (min(rows, array.shape[0]), *array.shape[1:]), "shuffle": True}
                 options |= {"compression": compression, "compression_opts": 1 if compression == "gzip" else None}
-            # Flushed now: what holds it open for a moment, as profilers do, would put its bytes behind the next one's.
+            # Flushed now: what holds a dataset open, as profilers do, would put its bytes behind those of the next.
             file.create_dataset(name, data=array.astype((_ARRAYS | _RARE)[name][0]), **options).flush()
     return buffer.getvalue()
 
@@ -235,7 +235,7 @@ def read_simulation(path) -> StoredSimulation:
         arrays |= {name: arrays[name].astype(np.int64) for name in ("body_a", "body_b")}
         _check_arrays(arrays, len(header["world"].segments))
         digest = attributes.pop("digest")
-        # Of the attributes as they are in the file: the header may hold options that are newer than the file.
+        # From the attributes as the file has them: the header may hold options that are newer than the file.
         actual = _digest(attributes, arrays)
         expect(actual == digest, f"digest: expected that of the contents, {actual}, got {digest}: altered or damaged")
     simulation = StoredSimulation(header=header, arrays=arrays)
@@ -244,7 +244,7 @@ def read_simulation(path) -> StoredSimulation:
 
 
 class SimulationInfo(NamedTuple):
-    """What a file says of itself: as in `StoredSimulation`, but for the digest, which only that checks."""
+    """Header, digest and number of states of a file, without its arrays. Only `read_simulation` checks the digest."""
 
     header: dict
     digest: str
@@ -271,7 +271,7 @@ def _per_state(name: str, values, count: int, dtype, missing) -> np.ndarray:
 
 
 def _json_value(name: str, value):
-    """`value` as JSON gives it back, so that it is the same before and after the file."""
+    """`value` as JSON returns it, so that it is the same before it is written and after it is read."""
     try:
         text = json.dumps(value, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -281,7 +281,7 @@ def _json_value(name: str, value):
 
 
 def _attributes(header: dict) -> dict:
-    """The attributes of a file but its digest. Optional ones only where they are set: digests without them stay."""
+    """The attributes of a file but its digest. Optional ones are there only where set, so that older digests stay."""
     solver, world = header["solver"], header["world"]
     settings = None if solver is None else {"method": type(solver).__name__, **asdict(solver)}
     if solver is not None and header.get("preset") is not None:
@@ -325,7 +325,7 @@ def _read_attributes(file: h5py.File) -> dict:
 
 
 def _header(attributes: dict) -> dict:
-    """What the attributes of a file mean."""
+    """The header that the attributes of a file describe. Raises ValueError naming the attribute."""
     for name, expected in (("format", FORMAT), ("version", VERSION)):
         expect(attributes[name] == expected, f"{name}: expected {expected!r}, got {attributes[name]!r}")
     header = {"name": attributes["name"], "dt": number("dt", attributes["dt"], above=0)}
@@ -355,7 +355,7 @@ def _header(attributes: dict) -> dict:
 
 
 def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
-    """The arrays of a file, whose types and shapes fit each other, before any is read."""
+    """The arrays of a file before they are read. Raises ValueError unless their types and shapes fit each other."""
     known = _ARRAYS | {name: kind for name, kind in _RARE.items() if name in file}
     strange = sorted(set(file) ^ set(known))
     expect(not strange, f"arrays: expected {', '.join(sorted(_ARRAYS))}, missing or unknown: {strange}")
@@ -372,7 +372,7 @@ def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
 
 
 def _check_arrays(arrays: dict, segments: int) -> None:
-    """What `check_state` asks of every state, for all at once. segments: how many the world has."""
+    """Raise ValueError unless all states keep the rules of `check_state`. segments: number of the world's segments."""
 
     def refuse(name, bad, expected):
         refuse_where(bad, name, arrays[name], expected)

@@ -53,8 +53,8 @@ def read_state(path) -> State:
 def write_state(path, state: State) -> None:
     """Write a state to `….xml`, or compressed to `….xml.gz`; the same state gives the same bytes.
 
-    The folder is made if it is missing. The file appears whole or not at all. Raises StateFileError where the name ends
-    in something else, or the state is not valid or cannot be stored; OSError where the file cannot be written.
+    The folder is made if it is missing. The file appears whole or not at all. Raises StateFileError where the name has
+    another ending, or the state is not valid or cannot be stored; OSError where the file cannot be written.
     """
     path = Path(path)
     if not path.name.endswith((".xml", ".xml.gz")):
@@ -65,7 +65,7 @@ def write_state(path, state: State) -> None:
     except ValueError as error:
         raise StateFileError(f"{path}: not written: {error}") from None
     if path.suffix == ".gz":
-        # Neither time nor name go into the header, so that the same state gives the same file.
+        # Neither time nor name go into gzip's header, so that the same state gives the same file.
         data = gzip.compress(data, compresslevel=6, mtime=0)
     write_bytes(path, data)
 
@@ -92,7 +92,7 @@ def format_state(state: State) -> bytes:
 
 
 def parse_state(data: bytes, source) -> State:
-    """The state in the bytes of an (unpacked) XML file; `source`, its path or name, is what messages call it.
+    """The state in the bytes of an unpacked XML file. source: path or name of the file, for messages.
 
     Raises StateFileError naming source, line, element and value.
     """
@@ -154,7 +154,7 @@ def _read_solver(element):
 
 
 def _option_value(text: str):
-    """None, a bool, an int, a float or a str, by how it looks; `_option_text` makes sure of the inverse."""
+    """The None, bool, int, float or str that a text stands for. `_option_text` checks that the way back is exact."""
     if text in ("none", "true", "false"):
         return {"none": None, "true": True, "false": False}[text]
     if xml_tree.INTEGER.fullmatch(text):
@@ -164,7 +164,7 @@ def _option_value(text: str):
 
 
 def _read_segments(elements, rank: dict) -> dict:
-    """Segments and speeds of a world, by index; the indices are added to `rank`, behind circles and box."""
+    """Segments of a world and their speeds, by index. Adds the indices to `rank`, behind circles and box, in place."""
     segments, speeds, velocities, start = [], [], [], len(rank)
     for index, segment in sorted(xml_tree.by_index(elements).items()):
         xml_tree.refuse_attributes(segment, {"index", *_ENDS, "speed", *_VELOCITIES})
@@ -183,7 +183,7 @@ def _read_segments(elements, rank: dict) -> dict:
 def _number_bodies(bodies, is_old: bool):
     """Circles in the order of their indices, the box or None, {index in the file: index in memory}.
 
-    A fixed body is the box, unless its shape is a circle. is_old: of an old file, whose fixed body is the box always.
+    A fixed body is the box, unless its shape is a circle. is_old: whether the file is old: its fixed body is the box.
     """
     free, fixed = {}, {}
     for index, body in sorted(xml_tree.by_index(bodies).items()):
@@ -205,12 +205,12 @@ def _read_bodies(rows: Rows) -> Bodies:
     mass, radius = rows.numbers("mass", "value"), rows.numbers("shape", "radius")
     is_fixed = np.array([element.get("type") == "fixed" for element in rows.elements], bool)
     rows.refuse((mass <= 0) & ~is_fixed, "mass", "value", "a mass > 0")
-    mass[is_fixed] = math.inf  # as of the box, which has one of 0 in files
+    mass[is_fixed] = math.inf  # as the box; in files both have mass 0
     rows.refuse(np.array([text != "circle" for text in rows.texts("shape", "value")]), "shape", "value", "circle")
     rows.refuse(radius <= 0, "shape", "radius", "a number > 0")
     motion = [rows.numbers(tag, BODY[tag]) for tag in ("position", "velocity", "orientation", "spin")]
     bodies = Bodies(*motion, mass, radius)
-    # m r²/2 of a disc may overflow where m and r do not; "inf" is then what was written.
+    # m r²/2 of a disc may overflow where m and r do not; the file then has "inf".
     texts = rows.texts("inertia", "value")
     inertia = np.array([math.inf if text == "inf" else xml_tree.to_float(text) for text in texts])
     with np.errstate(all="ignore"):
@@ -222,7 +222,7 @@ def _read_bodies(rows: Rows) -> Bodies:
 
 
 def _read_box(root, body, bodies: Bodies, is_old: bool) -> tuple:
-    """(x_min, y_min, x_max, y_max)"""
+    """The box, (x_min, y_min, x_max, y_max), m."""
     tags = BODY | {"shape": "value"}
     parts = {} if body is None else xml_tree.children(body, tags)
     xml_tree.refuse_attributes_of(parts, tags)
@@ -285,7 +285,7 @@ def _read_contacts(rows: Rows, bodies: Bodies, box, rank: dict, is_old: bool) ->
 
 
 def _read_pairs(elements, rank: dict) -> np.ndarray:
-    """Memory indices of master and slave, (2, m), the box as n."""
+    """Indices in memory of master and slave, (2, m); n stands for the box."""
     pairs = []
     for element in xml_tree.by_index(elements).values():
         xml_tree.refuse_attributes(element, {"index", "master", "slave", "separation"})
@@ -304,7 +304,7 @@ def _nearest_wall(normal: np.ndarray) -> np.ndarray:
 def _separations(a, b, bodies: Bodies, box) -> np.ndarray:
     """Gap between the surfaces of the pairs, m. As in the engine, walls begin a skin before the box.
 
-    For old files, which set no scales and have no segments; the canonical form has separations.
+    Only old files, which have neither scales nor segments, need it; the canonical form stores separations.
     """
     position, radius, n = bodies.position, bodies.radius, bodies.count
     other, x, y = np.minimum(b, n - 1), *position[a].T

@@ -2,7 +2,7 @@
 
 A DOCTYPE is refused, so there are no entities. Files beyond `MAX_BYTES`, `MAX_TAGS` or `MAX_ATTRIBUTES` (about 35,000
 circles) are refused before they are parsed, compressed ones while they are unpacked. libxml2 counts lines exactly up to
-65,535; beyond, the line may be one off. Its RelaxNG names neither attribute nor value, so forms are checked here.
+65,535; beyond, the line may be one off. Its RelaxNG names neither attribute nor value, so the form is checked here.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lxml import etree
 from deep_contact.io.files import FileError
 
 MAX_BYTES = 64 * 2**20
-"""Largest file that is read or written, unpacked; also the most that is read of a compressed one."""
+"""Most bytes of a file that is read or written, unpacked; a compressed file may not have more either."""
 
 MAX_TAGS = 750_000
 """Most '<' in a file. With `MAX_ATTRIBUTES` it bounds the memory of the parsed tree to under 1 GB."""
@@ -35,7 +35,7 @@ _ENCODING = re.compile(rb"\s*<\?xml[^>]*?\sencoding\s*=\s*[\"'](?!(?i:utf-?8|(?:
 
 
 class StateFileError(FileError):
-    """A file that cannot be read, or a state that cannot be stored; names file, line, element and value."""
+    """A file cannot be read, or a state cannot be stored; the message names file, line, element and value."""
 
 
 def refuse_too_large(data: bytes) -> None:
@@ -47,7 +47,7 @@ def refuse_too_large(data: bytes) -> None:
 
 
 def parse_tree(data: bytes):
-    """The root element. The messages of this function, and of those below, lack the name of the file."""
+    """The root element of a file. Messages of this function, and of those below, lack the name of the file."""
     refuse_too_large(data)
     if not data.strip():
         raise StateFileError("line 1: expected an XML file, got an empty one")
@@ -99,7 +99,7 @@ def _fault_at(data: bytes, start: int, message: str, end: int | None = None) -> 
 
 
 def quote(value) -> str:
-    """What a file holds, cut to a length that a message can show."""
+    """A text of a file in quotes, cut to a length that a message can show."""
     if isinstance(value, bytes):
         value = value[: 4 * _MAX_QUOTED].decode("utf-8", "backslashreplace")
     return repr(value if len(value) <= _MAX_QUOTED else value[:_MAX_QUOTED] + "…")
@@ -110,7 +110,7 @@ def quote(value) -> str:
 
 def refuse_attributes(element, known) -> None:
     """Raise StateFileError for the first attribute that is not known."""
-    for name in element.keys():  # not items(), which looks every value up from the first attribute on
+    for name in element.keys():  # not items(), which looks up every value from the first attribute on
         if name not in known:
             message = f"{name[:_MAX_QUOTED]}: no such attribute, expected {', '.join(sorted(known))}"
             raise fault(element, message, element.get(name))
@@ -146,7 +146,7 @@ def elements_of(container, tag: str, attributes=("count",)) -> list:
 
 
 def by_index(elements) -> dict:
-    """Elements by their attribute `index`, which each has once."""
+    """Index -> element, by the attribute `index`. Raises StateFileError for an index that occurs twice."""
     numbered = {}
     for element in elements:
         index = read_integer(element, "index")
@@ -158,7 +158,7 @@ def by_index(elements) -> dict:
 class Rows:
     """Elements of one kind with their children by tag, read by columns.
 
-    tags: tag of a child -> its attributes, such as "x y". Others are refused.
+    tags: tag of a child -> its attributes, such as "x y". Other tags and attributes are refused.
     """
 
     def __init__(self, elements, tags: dict[str, str]):
@@ -182,7 +182,7 @@ class Rows:
         return columns[0] if len(columns) == 1 else np.column_stack(columns)
 
     def refuse(self, bad: np.ndarray, tag: str, names: str, expected: str) -> None:
-        """Raise for the first row that is bad, quoting its texts."""
+        """Raise StateFileError for the first row that is bad, quoting its texts."""
         if bad.any():
             element = self.parts[np.argmax(bad)][tag]
             got = ", ".join(element.get(name) for name in names.split())
@@ -190,7 +190,7 @@ class Rows:
 
 
 def to_float(text: str) -> float:
-    """The number in a text, NaN if it is none; infinite if it overflows."""
+    """The number in a text; NaN if the text is no number, infinite if the number overflows."""
     try:
         return float(text) if _NUMBER_TEXT.fullmatch(text) else math.nan
     except ValueError:
@@ -220,7 +220,7 @@ def read_integer(element, name: str) -> int:
 
 
 def quoted_attribute(name: str, text: str) -> str:
-    """A text in quotes, as an attribute has it. Raises ValueError with the name where XML cannot hold the text."""
+    """A text in quotes, as an attribute has it. Raises ValueError naming the attribute where XML cannot hold it."""
     if not isinstance(text, str) or _NOT_XML.search(text):
         raise ValueError(f"{name}: expected text without control characters, got {text!r}")
     return quoteattr(text)

@@ -36,7 +36,7 @@ from deep_contact.reporting.results import Claim
 from deep_contact.validation import brief, one_of
 
 MEANINGS = json.loads((Path(__file__).parent / "settings.json").read_text(encoding="utf-8"))
-"""Name of a setting -> its meaning and unit; "4.2 kernel" is that of Figure 4.2 alone."""
+"""Name of a setting -> its meaning and unit; "4.2 kernel" is the meaning in Figure 4.2 alone."""
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 and the number of the signal, as shells have it."""
@@ -49,7 +49,7 @@ class Figure:
     id: "3.7" for a figure, "T 5.1" for a table. title: one line. options: the settings of a full run, name -> value
     (numbers, text, None, or lists and dicts of these). quick: the options that `--quick` changes. seed: default of
     `--seed`. digits: significant digits kept of float arrays in the data, None for all. file: name of its files without
-    suffix, where it is not that of its number.
+    suffix, if the id does not give it.
 
     compute(options, seed, jobs, progress) -> data: dict of what `results.plain` can store. `jobs` goes to
     `parallel_map`, `progress` has the signature of `progress_bar`.
@@ -84,7 +84,7 @@ class Figure:
 
     @property
     def heading(self) -> str:
-        """Figure 3.7: title."""
+        """Kind, number and title, "Figure 3.7: …"."""
         return f"{results.name_of(self.id)}: {self.title}"
 
     def beside(self, options: dict) -> dict | None:
@@ -117,12 +117,12 @@ def run_as_script(figure: Figure, module: str) -> None:
 
 
 def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
-    """Run a script's command line; its exit status.
+    """Run a script's command line. Returns the exit status.
 
-    0: files written. 1: a file that has to exist first is missing, such as a trained network;
-    the message is printed. 2: bad arguments, or a ValueError of the figure's own functions
-    under `--set`. 130: interrupted by Ctrl-C, 143: by SIGTERM, both without a traceback and without half-written files.
-    Any other error of the figure's own functions is raised.
+    0: the files are written. 1: a file that has to exist first is missing, such as a trained network; the message is
+    printed. 2: bad arguments, or a ValueError of the figure's own functions under `--set`. 130: interrupted by Ctrl-C,
+    143: by SIGTERM, both without a traceback and without half-written files. Any other error of the figure's own
+    functions is raised.
     """
     parser = _parser(figure)
     args = parser.parse_args(arguments)
@@ -139,7 +139,7 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--out: expected a folder that can be written, got {args.out!r} ({error.strerror})")
     changes, path = dict(args.set), Path(args.out, f"{figure.stem}.json")
     # An exit, so that temporary files and child processes are cleaned up.
-    if threading.current_thread() is threading.main_thread():  # no other may ask for signals
+    if threading.current_thread() is threading.main_thread():  # no other may set handlers
         signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
         if args.replot:
@@ -170,10 +170,10 @@ def produce(
     out: str | os.PathLike = "figures",
     jobs: int | Executor = 1,
 ) -> dict:
-    """Compute, store, draw and report a figure; the stored results.
+    """Compute, store, draw and report a figure. Returns the stored results.
 
-    options: changes to the figure's own, by name. quick: start from those of its quick run. out: folder of the files.
-    jobs: number of processes, or an executor (`parallel.finished`); the numbers do not depend on it. The results
+    options: changes to the figure's own, by name. quick: start from the options of its quick run. out: folder of the
+    files. jobs: number of processes, or an executor (`parallel.finished`); the numbers do not depend on it. The results
     are stored before they are drawn, so that an error in `draw` does not cost a long computation. Raises ValueError for
     an unknown option.
     """
@@ -203,7 +203,7 @@ def _draw(figure: Figure, stored: dict, path: Path) -> None:
 
 
 def _redrawn(figure: Figure, path: Path) -> dict:
-    """The stored results, judged as of now and drawn again. Raises ResultsError where they are none of this figure."""
+    """The stored results, judged and drawn again. Raises ResultsError where the file has none of this figure."""
     if not path.exists():
         raise results.ResultsError(f"{path}: expected the results of a run, got no file")
     stored = results.read_results(path)
@@ -221,7 +221,7 @@ def _redrawn(figure: Figure, path: Path) -> dict:
 def _report(figure: Figure, stored: dict, path: Path) -> None:
     """Print the numbers as a table, one line a claim, and the picture's path.
 
-    Claims that a quick run is too small for, and that the reference run has judged, are one line together.
+    The claims for which a quick run is too small, and which the reference run has judged, share one line.
     """
     beside = figure.beside(stored["options"])
     print(figure.heading)
@@ -240,7 +240,7 @@ def _report(figure: Figure, stored: dict, path: Path) -> None:
 
 
 def claim_line(claim: dict, beside: dict | None = None, *, measured: bool = True) -> str:
-    """A stored claim as one line: its verdict (`results.verdict`), its text, and what was measured if asked for."""
+    """A stored claim as one line: its verdict (`results.verdict`), its text, and the numbers if `measured`."""
     source = f" ({claim['thesis']})" if claim["thesis"] else ""
     numbers = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
     return f"{results.verdict(claim, beside)}: {claim['text']}{source}" + (f": {numbers}" if measured else "")
@@ -276,7 +276,7 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
 
 
 def common_arguments(seed: int | str) -> argparse.ArgumentParser:
-    """The options of every script, for `parents` of its parser. seed: the default, for the help."""
+    """The options of every script, for `parents` of its parser. seed: the default that the help names."""
     parser = argparse.ArgumentParser(add_help=False)
     add = parser.add_argument
     add("--quick", action="store_true", help="smaller runs, each within a minute")
@@ -299,7 +299,7 @@ def _described(id: str, name: str, value) -> str:
 
 
 def assigned(options: dict, text: str) -> tuple[str, object]:
-    """(name, value) of "name=value", the value of the type of its default: JSON, text, or "0.1,0.2" for a list.
+    """(name, value) from "name=value", with the type of the default: JSON, text, or "0.1,0.2" for a list.
 
     Raises argparse.ArgumentTypeError naming the option, what was expected and what came.
     """
@@ -314,7 +314,7 @@ def assigned(options: dict, text: str) -> tuple[str, object]:
 
 
 def _value(text: str, default):
-    """Text as a value of the default's type; whole numbers that count something from 1. Raises ValueError."""
+    """A text as a value of the default's type; a whole number is at least 1 if its default is. Raises ValueError."""
     if isinstance(default, str):
         return text
     if isinstance(default, list):

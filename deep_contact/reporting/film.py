@@ -24,7 +24,7 @@ from deep_contact.reporting import plotting
 from deep_contact.validation import expect
 
 MARGIN = 8
-"""Around the box, pixels."""
+"""Margin around the box, pixels."""
 
 LINE = 22
 """Height of a line of the strip below the box, pixels."""
@@ -36,15 +36,15 @@ LEAST_STRIP = 112
 class Canvas:
     """Draws states of one world: the longer side of its box has `size` pixels; clock, scale and key stand below it.
 
-    fastest: speed of the last colour, m/s. strongest: of the widest line, an impulse, N·s. forces: draw the network of
-    contact forces in place of the speeds; `strongest` is then a force, N.
+    fastest: speed of the last colour, m/s. strongest: impulse of the widest line, N·s. forces: whether the network of
+    contact forces is drawn in place of the speeds; `strongest` is then a force, N.
     """
 
     def __init__(self, world, *, size: int, strongest: float, fastest: float = 0.0, forces: bool = False):
         x_min, y_min, x_max, y_max = world.box
         sides = x_max - x_min, y_max - y_min
         pixel = max(sides) / (size - 2 * MARGIN)
-        # Even sides, as films in colours of half the resolution need.
+        # Even sides: films store colours at half the resolution.
         width, height = (2 * math.ceil((side / pixel + 2 * MARGIN) / 2) for side in sides)
         lines = 0 if width < LEAST_STRIP else 1 if width >= 3 * LEAST_STRIP else 3
         whole = height + LINE * lines
@@ -86,14 +86,14 @@ _LETTERS = {"fontsize": 12 * 72 / plotting.DPI, "va": "center", "family": "DejaV
 
 
 def _corners(width: int, lines: int) -> list[tuple[float, float]]:
-    """Where clock, scale and key begin, pixels: in one line, or in three from the top."""
+    """Places (x, y) at which clock, scale and key begin, pixels: in one line, or in three lines from the top."""
     if lines == 1:
         return [(share * width + MARGIN, LINE / 2) for share in (0.0, 0.31, 0.62)]
     return [(MARGIN, LINE * (line + 0.5)) for line in (2, 1, 0)]
 
 
 def _draw_scale(strip, x: float, y: float, pixel: float, most: float) -> None:
-    """A bar of 1, 2 or 5 · 10ᵏ m that has at most `most` pixels, of `pixel` m each."""
+    """Draw a bar of 1, 2 or 5 · 10ᵏ m that has at most `most` pixels, of `pixel` m each."""
     metres = plotting.round_down(most * pixel)
     end = x + metres / pixel
     strip.plot([x, x, x, end, end, end], [y - 4, y + 4, y, y, y - 4, y + 4], color=plotting.BLACK, linewidth=0.6)
@@ -101,7 +101,7 @@ def _draw_scale(strip, x: float, y: float, pixel: float, most: float) -> None:
 
 
 def _draw_colours(strip, x: float, y: float, fastest: float) -> None:
-    """The colours of the speeds from 0 to `fastest`, m/s."""
+    """Draw the colours of the speeds from 0 to `fastest`, m/s."""
     strip.text(x, y, "0", **_LETTERS)
     strip.imshow(
         [np.linspace(0, 1, 32)], extent=(x + 11, x + 51, y - 4, y + 4), cmap=plotting.COLOUR_MAP, aspect="auto"
@@ -110,16 +110,16 @@ def _draw_colours(strip, x: float, y: float, fastest: float) -> None:
 
 
 def _draw_force(strip, x: float, y: float, strongest: float) -> None:
-    """The widest line, and its force, N."""
+    """Draw the widest line, and its force, N."""
     strip.plot([x, x + 28], [y, y], color=plotting.VERMILION, linewidth=plotting.WIDEST, solid_capstyle="butt")
     strip.text(x + 34, y, f"{float(f'{strongest:.3g}'):,g} N", **_LETTERS)
 
 
 def write_film(path, states: Sequence, draw: Callable[..., np.ndarray], fps: float) -> Path:
-    """Write a film of states, `fps` a second, as a GIF or an MP4, by the ending of its name. Returns the path.
+    """Write a film of states, `fps` pictures a second, as GIF or MP4, by the ending of its name. Returns the path.
 
-    draw: makes the picture of a state, (height, width, 3), uint8. A GIF has whole hundredths of a second, and players
-    show none below two: above 50 a second it leaves states out, and takes as long.
+    draw: makes the picture of a state, (height, width, 3), uint8. The delays of a GIF are whole hundredths of a second,
+    and players show none below two. So above 50 pictures a second a GIF leaves states out, and takes as long.
     Raises ValueError for another ending, and for an MP4 without ffmpeg, before the first picture is made. Raises
     OSError with what ffmpeg said where it ends early.
     """
@@ -139,7 +139,7 @@ def write_film(path, states: Sequence, draw: Callable[..., np.ndarray], fps: flo
 
 
 def gif_timing(count: int, fps: float) -> tuple[list[int], list[int]]:
-    """Which of `count` pictures a GIF shows, and the delay of each, ms: their sum is count / fps, to 5 ms."""
+    """Indices of those of `count` pictures that a GIF shows, and their delays, ms, whose sum is count / fps to 5 ms."""
     end = round(100 * count / fps)
     shown, begins = [0], [0]
     for i in range(1, count):
@@ -153,14 +153,14 @@ def gif_timing(count: int, fps: float) -> tuple[list[int], list[int]]:
 def _write_gif(path: Path, pictures, delays: list[int]) -> None:
     speeds = 255 * colormaps[plotting.COLOUR_MAP](np.linspace(0.0, 1.0, 32))[:, :3]
     palette = Image.new("P", (1, 1))
-    colours = np.concatenate([speeds, np.mgrid[:6, :6, :6].reshape(3, -1).T * 51])  # and what edges need
+    colours = np.concatenate([speeds, np.mgrid[:6, :6, :6].reshape(3, -1).T * 51])  # and colours for edges
     palette.putpalette(colours.round().astype(np.uint8).tobytes())
     shown = (Image.fromarray(one).quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures)
     next(shown).save(path, save_all=True, append_images=shown, duration=delays, loop=0, optimize=False)
 
 
 def _ffmpeg() -> str | None:
-    """The program: that of the machine, or that of the package imageio-ffmpeg, or None."""
+    """Path of ffmpeg: that of the machine, or that of the package imageio-ffmpeg; None where there is neither."""
     found = shutil.which("ffmpeg")
     if found is None:
         with suppress(ImportError, RuntimeError):  # the package has no program for every machine
@@ -177,7 +177,7 @@ def _write_mp4(path: Path, pictures, fps: float, program: str) -> None:
     command = [program, "-y", "-loglevel", "error", *source, "-pix_fmt", "yuv420p", str(path)]
     is_whole = False
     with TemporaryFile() as said:
-        # The pipe breaks where ffmpeg ends early; its words and its status say why.
+        # The pipe breaks where ffmpeg ends early; its output and its status say why.
         with suppress(BrokenPipeError), subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said) as ffmpeg:
             for picture in chain([first], pictures):
                 ffmpeg.stdin.write(picture.tobytes())

@@ -1,7 +1,7 @@
 """Pages that play runs: one file of HTML with the states in it, which any browser shows without a network.
 
-The page is `player.html` with `player.js` and the data. Numbers are packed: a column of integers has the differences
-from the state before, as four planes of bytes, deflated, in base64.
+The page is `player.html` with `player.js` and the data. Numbers are packed in columns of integers. A column has the
+differences from the state before, as four planes of bytes, deflated, in base64.
 
 | column | of each | unit                                                                                    |
 |--------|---------|-----------------------------------------------------------------------------------------|
@@ -11,10 +11,10 @@ from the state before, as four planes of bytes, deflated, in base64.
 | mass   | circle  | bits of a float32, kg                                                                   |
 | speed  | circle  | 1/65,535 of `topSpeed`                                                                  |
 | colour | circle  | 1/65,535 of the range `colours`; only with `colour=`                                    |
-| lines  | segment | ends x, y, x, y, as x and y                                                             |
-| a, b   | contact | a less that of the contact before, b less a                                             |
+| lines  | segment | ends x, y, x, y, in the unit of x and y                                                 |
+| a, b   | contact | a minus a of the contact before; b minus a                                              |
 | normal | contact | (k / 65,535)² `topForce` N: fine where forces are small                                 |
-| across | contact | the same of its friction, with a sign                                                   |
+| across | contact | friction, in the unit of normal, with a sign                                            |
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ FINEST = 2**30
 """Most units from one side of the scene to the other."""
 
 WIDEST_SHARE = 98
-"""The widest line is this percentile of all forces: an impact does not make those at rest thin."""
+"""Percentile of all forces that has the widest line: an impact does not make the lines at rest thin."""
 
 
 def write_page(path, states: Sequence, *, colour=None) -> Path:
@@ -70,7 +70,7 @@ def page(states: Sequence, *, colour=None) -> str:
 
 
 def page_data(states: Sequence, *, colour=None) -> dict:
-    """What the page knows of the states, as JSON can hold it; `player.js` reads it back."""
+    """The data of a page, as JSON can hold them; `player.js` reads them."""
     total, hint = sum(state.bodies.count for state in states), "; one in so many states is enough for the eye (every=…)"
     few = f"at most {MOST_CIRCLES:,} circles in all of them together"
     expect(total <= MOST_CIRCLES, f"states: expected {few}, got {total:,}{hint}")
@@ -138,7 +138,7 @@ def _checked_colours(colour, states: Sequence) -> list[np.ndarray]:
 
 
 def _grid(states: Sequence) -> tuple[np.ndarray, float, list[np.ndarray]]:
-    """Where whole numbers of places begin, (2,), m, their unit, m, and the ends of each state's segments, (2 S, 2)."""
+    """The origin of a page's places, (2,), m, their unit, m, and the ends of each state's segments, (2 S, 2), m."""
     ends = [np.reshape(state.world.segments, (-1, 2)) for state in states]
     x_min, y_min, x_max, y_max = states[0].world.box
     every = np.concatenate([*(state.bodies.position for state in states), *ends, [(x_min, y_min), (x_max, y_max)]])
@@ -148,7 +148,7 @@ def _grid(states: Sequence) -> tuple[np.ndarray, float, list[np.ndarray]]:
 
 
 def _differences(of_states: Sequence[np.ndarray]) -> np.ndarray:
-    """Each state's numbers less those of the state before, as far as it has as many; one array, int64."""
+    """Each state's numbers minus those of the state before, for as many as both have; one array, int64."""
     found = [values.astype(np.int64) for values in of_states]
     for before, after in reversed([*pairwise(found)]):
         shared = min(len(before), len(after))

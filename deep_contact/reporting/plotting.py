@@ -59,10 +59,10 @@ START_STYLE = {
 """Name of a start -> keywords for `ax.plot`, the same in every figure."""
 
 SHARING = "#17BECF"
-"""Colour of a way back from the grid that is drawn beside starts."""
+"""Colour of the authors' sharing, a way back from the grid that is drawn beside starts."""
 
 ENGINE_MARKER = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
-"""Other engine -> marker, in grey."""
+"""Other engine -> its marker, drawn in grey."""
 
 _STYLE = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same letters on every machine
@@ -90,7 +90,7 @@ _STYLE = {
 
 
 def shades(count: int) -> list[str]:
-    """So many colours of what has an order (sizes, steps, presets), from light to dark: no start has one of them."""
+    """`count` colours for an ordered series (sizes, steps, presets), from light to dark. No start has such a colour."""
     from matplotlib import colormaps, colors
 
     return [colors.to_hex(colour) for colour in colormaps["cividis"](np.linspace(0.85, 0.0, count))]
@@ -121,7 +121,7 @@ def styles_of(names: Iterable[str]) -> dict[str, dict]:
 
 
 def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords) -> tuple:
-    """A figure and its axes (one, or an array as `Figure.subplots` gives it), without pyplot. A notebook shows it.
+    """A figure and its axes (one, or an array as from `Figure.subplots`), without pyplot. A notebook shows the figure.
 
     size: width and height, inches; by default 6 × 4 for one panel, and 4.2 × 3.6 for each of several. The figure is no
     wider than a page, so that letters keep their size where it is shown.
@@ -152,14 +152,14 @@ def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title:
 
 
 def name_bars(ax, names: Sequence[str]) -> None:
-    """Name horizontal bars at 0, 1, …, the first one above; no line of the grid runs along them."""
+    """Name horizontal bars at 0, 1, …, the first at the top, without lines of the grid along the bars."""
     ax.set_yticks(range(len(names)), names)
     ax.invert_yaxis()
     ax.grid(False, axis="y")
 
 
 def log_axes(ax) -> None:
-    """Both axes logarithmic, with plain numbers at 1, 2 and 5 of every decade, or at decades beyond two of them."""
+    """Make both axes logarithmic, with plain numbers at 1, 2 and 5 of each decade, or at decades alone if over two."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     ax.set(xscale="log", yscale="log")
@@ -170,13 +170,13 @@ def log_axes(ax) -> None:
 
 
 def band(ax, x, middle, low, high, **look) -> None:
-    """A curve with a shaded interval around it. look: keywords for `ax.plot`."""
+    """Draw a curve with a shaded interval around it. look: keywords for `ax.plot`."""
     (line,) = ax.plot(x, middle, **look)
     ax.fill_between(x, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
 
 
 def legend_below(figure, ax, title: str = ""):
-    """The figure with one legend below all panels, of what `ax` shows, in one row; and a title above them, if given."""
+    """Add the legend of `ax` in a row below all panels, and a title, if any, above them. Returns the figure."""
     if title:
         figure.suptitle(title, fontsize=10)
     handles, labels = ax.get_legend_handles_labels()
@@ -185,7 +185,7 @@ def legend_below(figure, ax, title: str = ""):
 
 
 def scene_axes(ax, box: Sequence[float], *, walls: bool = True) -> None:
-    """Axes of a scene: metres, equal scales, the whole box in view with 2 % margin and, with `walls`, outlined.
+    """Set axes for a scene: metres, equal scales, the whole box in view with 2 % margin, outlined if `walls`.
 
     box: (x_min, y_min, x_max, y_max), m.
     """
@@ -203,9 +203,10 @@ def scene_axes(ax, box: Sequence[float], *, walls: bool = True) -> None:
 
 
 def scene_and_part(state, x: np.ndarray, y: np.ndarray, *, centre: np.ndarray, half: float):
-    """A scene and a grid in two axes: the whole, and with the nodes the square of ±`half`, m, around a centre (2,), m.
+    """Draw a scene with a grid in two axes: the whole scene, and a square of it with the grid's nodes.
 
-    x, y: coordinates of the grid's columns and rows, m. Returns the figure and both axes.
+    x, y: coordinates of the grid's columns and rows, m. centre, half: centre, (2,), m, and half of the side, m, of the
+    square. Returns the figure and both axes.
     """
     from matplotlib.patches import Rectangle
 
@@ -225,9 +226,10 @@ def scene_and_part(state, x: np.ndarray, y: np.ndarray, *, centre: np.ndarray, h
 
 
 def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
-    """What colours the circles, (n,), and its label: "speed", m/s, or "impulse", the sum of λ_n at its contacts, N·s.
+    """The values that colour the circles, (n,), and their label.
 
-    Raises ValueError for any other `colour_by`.
+    colour_by: "speed", m/s, or "impulse", the sum of λ_n at the contacts of a circle, N·s. Raises ValueError for any
+    other `colour_by`.
     """
     if one_of("colour_by", colour_by, ("speed", "impulse")) == "speed":
         return np.hypot(*np.asarray(state.bodies.velocity).T), "speed (m/s)"
@@ -241,7 +243,8 @@ def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
 def top_speed(states: Iterable) -> float:
     """Speed of the last colour for these states, m/s: that of the fastest circle, and at least √(g r̄).
 
-    r̄: mean radius. A circle reaches √(g r̄) when it falls by half of r̄: what rests is dark, whatever its rounding.
+    r̄: mean radius. A circle reaches √(g r̄) when it falls by half of r̄. So circles at rest are dark, whatever
+    rounding makes of their speeds.
     """
     top = 0.0
     for state in states:
@@ -252,7 +255,7 @@ def top_speed(states: Iterable) -> float:
 
 
 def round_down(value: float) -> float:
-    """The largest of 1, 2 or 5 · 10ᵏ that is at most `value`: for the bar of a scale."""
+    """The largest of 1, 2 or 5 · 10ᵏ that is at most `value`, for the bar of a scale."""
     decade = 10.0 ** math.floor(math.log10(value))
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= value or step == 1.0)
 
@@ -284,10 +287,11 @@ def draw_state(
     """Draw a state into `ax`: circles, a tick for each one's orientation, and contact impulses as lines.
 
     A contact's line runs from the centre of one circle to that of the other, or to the wall. Its width is proportional
-    to the normal impulse (a contact without impulse is a hairline). limits: of the colours, by default 0 and the
-    largest value, for speeds at least √(g r̄) (`top_speed`). largest_impulse: of the widest line, N·s, by default the
-    largest of this state. Give both to compare several states. bar: the colours' bar, at the right of the axes.
-    Returns the circles' collection, for a colour bar of several axes.
+    to the normal impulse (a contact without impulse is a hairline). limits: values of the first and of the last colour,
+    by default 0 and the largest value, for speeds at least √(g r̄) (`top_speed`). largest_impulse: impulse of the
+    widest line, N·s, by default the largest of this state. To compare several states, set limits and largest_impulse.
+    bar: whether the bar of the colours is drawn, at the right of the axes. Returns the circles' collection, for a
+    colour bar of several axes.
     """
     from matplotlib.collections import EllipseCollection, LineCollection
 
@@ -314,7 +318,7 @@ def draw_state(
     circles.update_scalarmappable()
     colours = readable_on(np.atleast_2d(circles.get_facecolor()))
     heading = np.stack([np.cos(bodies.angle), np.sin(bodies.angle)], axis=1) * bodies.radius[:, None]
-    # From half the radius on: a whole one looks like a contact.
+    # From half of the radius on: a tick of a whole radius looks like a contact.
     ticks = np.stack([bodies.position + 0.5 * heading, bodies.position + 0.95 * heading], axis=1)
     ax.add_collection(LineCollection(ticks, colors=colours, linewidths=1.0))
     if contacts and state.contacts is not None and state.contacts.count:
@@ -335,10 +339,10 @@ def draw_state(
 def draw_contact_forces(ax, state, *, friction: bool = False, largest: float | None = None, key: bool = True) -> None:
     """Draw the network of contact forces: a line through each contact that pushes, as wide as its normal force.
 
-    friction: also a line across each contact, as wide as its friction. largest: force of the widest line, N; by
-    default the largest normal force of this state. key: widths in N, and what each wall and segment gives to the
-    circles: an arrow towards them that ends where it acts, and the number of each wall. For what moment the forces
-    are, see `deep_contact.physics.forces`.
+    friction: whether a line across each contact, as wide as its friction, is drawn too. largest: force of the widest
+    line, N; by default the largest normal force of this state. key: whether the widths are explained in N, and the
+    forces of walls and segments on the circles drawn: each as an arrow that ends where the force acts, and with its
+    size in the key. `deep_contact.physics.forces` says for which moment the forces hold.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
@@ -370,7 +374,7 @@ def draw_contact_forces(ax, state, *, friction: bool = False, largest: float | N
 
 
 def _draw_reactions(ax, state) -> list[str]:
-    """Arrows of what walls and segments give to the circles, up to a tenth of the box long. Returns walls' totals."""
+    """Draw the forces of walls and segments as arrows, at most a tenth of the box long. Returns the forces as texts."""
     from deep_contact.physics.forces import forces
 
     acting, c, beyond = forces(state), state.contacts, state.contacts.body_b - state.bodies.count
@@ -407,7 +411,7 @@ def draw_stress(ax, state, *, spacing: float):
 
 
 def impulse_key(figure, largest: float) -> None:
-    """A key below a figure of states: how wide a line is for which normal impulse, N·s, and what the ticks are."""
+    """Add a key below a figure of states: widths of lines and their normal impulses, N·s, and the meaning of ticks."""
     from matplotlib.lines import Line2D
 
     lines = [
@@ -427,13 +431,13 @@ _CHARACTER = 0.084
 """Width of a character of a table at 8 pt, inches."""
 
 _LINE = 0.17
-"""Height of its line, inches."""
+"""Height of a line of a table at 8 pt, inches."""
 
 
 def draw_table(rows: Sequence[Sequence[str]], title: str):
     """A figure that shows a table of text: the first row is its head.
 
-    Text is wrapped so that it fits a page; where the longest words do not, letters are smaller.
+    Text is wrapped so that it fits a page; where the longest words do not fit, letters are smaller.
     """
     for width in range(100, 4, -1):
         wrapped = [[textwrap.fill(text, width, break_long_words=False) for text in row] for row in rows]
@@ -468,9 +472,10 @@ def draw_network(
 ) -> None:
     """Draw a fully connected network: one column of neurons for each layer, from left to right.
 
-    values: of each layer's neurons. weights: between each layer and the next, (n, m): blue lines, dashed vermilion ones
-    where negative, as wide as they are large. titles: under the layers. dropped: neurons that are crossed out and have
-    no lines. numbers: format of a neuron's value; "" omits them.
+    values: values of each layer's neurons. weights: weights between each layer and the next, (n, m), drawn as lines as
+    wide as the weights are large: blue ones, and dashed vermilion ones for negative weights. titles: texts below the
+    layers. dropped: flags of neurons that are crossed out and have no lines. numbers: format of a neuron's value; ""
+    omits the values.
     """
     places = [[(i, 0.5 * (len(layer) - 1) - j) for j in range(len(layer))] for i, layer in enumerate(values)]
     gone = dropped or [[False] * len(layer) for layer in values]
@@ -496,7 +501,7 @@ def draw_network(
 
 
 def save(figure, path: str | os.PathLike) -> Path:
-    """Write a figure as PNG; its path, "….png". The same figure gives the same bytes."""
+    """Write a figure as PNG to a path "….png". Returns the path. The same figure gives the same bytes."""
     path = Path(path)
     hint = "figure.savefig writes other formats"
     expect(path.suffix.lower() == ".png", f"path: expected a name that ends in .png, got {str(path)!r}; {hint}")

@@ -44,9 +44,9 @@ class Claim(NamedTuple):
     | text     | the statement                                                                          |
     | thesis   | where the thesis makes it, "section 3.4.1" or "section 5.1.3, Eq 3.8"; None if it does |
     |          | not. The text copy of the thesis has no pages                                          |
-    | holds    | whether it is true of the data; None where they do not tell, or tell both              |
+    | holds    | whether it is true of the data; None where the data leave it open, or say both         |
     | measured | the numbers that decided it, name -> value                                             |
-    | verdict  | what says more than `holds`: "holds, sweeps 1 to 180", "within the noise"; or None     |
+    | verdict  | more than `holds` says: "holds, sweeps 1 to 180", "within the noise"; or None          |
     """
 
     text: str
@@ -90,7 +90,7 @@ def plain(value, *, digits: int | None = None, where: str = "data"):
 
 
 def check_results(results: dict) -> dict:
-    """`results`, if they follow the schema and every number is finite; ResultsError names field and value if not."""
+    """The results. Raises ResultsError naming field and value unless they follow the schema and are finite."""
     error = jsonschema.exceptions.best_match(_VALIDATOR.iter_errors(results))
     if error is not None:
         place = error.json_path.removeprefix("$").lstrip(".") or "results"
@@ -103,7 +103,7 @@ def check_results(results: dict) -> dict:
 
 
 def write_results(path: str | os.PathLike, results: Mapping, *, digits: int | None = None) -> Path:
-    """Check `results` and write them in one move; the path. digits: see `plain`.
+    """Check `results` and write them in one move. Returns the path. digits: see `plain`.
 
     Raises ResultsError naming field and value, and then leaves whatever was there before untouched.
     """
@@ -128,16 +128,16 @@ def reference(stem: str) -> dict | None:
 
 
 def name_of(id: str) -> str:
-    """Figure 3.7 or Table 5.1, of the id "3.7" or "T 5.1"."""
+    """The name of an id: "Figure 3.7" of "3.7", "Table 5.1" of "T 5.1"."""
     return f"Table {id[2:]}" if id.startswith("T ") else f"Figure {id}"
 
 
 def verdict(claim: Mapping, beside: Mapping | None = None) -> str:
-    """How a stored claim reads: its own verdict if it has one, else "holds", "does not hold" or "open".
+    """The verdict of a stored claim in words: its own if it has one, else "holds", "does not hold" or "open".
 
-    beside: results of the reference run, for a claim of a smaller run. Where the same claim of both comes out alike,
-    that is said. Where it does not, the verdict is "too few states to tell", and what the reference run says. Claims
-    are the same if their texts are, whatever the number of circles.
+    beside: results of the reference run, for a claim of a smaller run. Where the claim comes out alike in both runs,
+    the verdict says so. Where it does not, the verdict is "too few states to tell", with the verdict of the reference
+    run. Two claims are the same if their texts are, whatever the number of circles.
     """
     own = claim.get("verdict") or {True: "holds", False: "does not hold", None: "open"}[claim["holds"]]
     if beside is None:
@@ -148,7 +148,7 @@ def verdict(claim: Mapping, beside: Mapping | None = None) -> str:
         return f"as in the reference run, {own}"
     if other is None:
         return OPEN
-    said = verdict(other)  # over which sweeps is in the documentation
+    said = verdict(other)  # the documentation has the sweeps
     return f"{OPEN} (reference run: {'holds in part' if ';' in said else said.partition(',')[0]})"
 
 

@@ -1,4 +1,4 @@
-"""The scripts of the figures and tables: which there are, and how a number names one.
+"""The scripts of the figures and tables: their list, and the numbers that name them.
 
 Nothing is imported from them, so that listing them is fast.
 """
@@ -28,12 +28,12 @@ def find(folder: Path) -> dict[str, Path]:
 
 
 def normalized(name: str) -> str:
-    """A number as `find` has it, of "3.7", "Figure 3.7", "T5.1", "T 5.1" or "table 5.1"."""
+    """The number that `find` uses for "3.7", "Figure 3.7", "T5.1", "T 5.1" or "table 5.1"."""
     return re.sub(r"\s", "", name).lower().removeprefix("figure").replace("table", "t").upper()
 
 
 def choose(scripts: dict[str, Path], wanted: list[str]) -> dict[str, Path]:
-    """Those of `find` that are wanted, in its order. Raises ValueError naming all for one that there is not."""
+    """The scripts of the wanted numbers, in the order of `find`. Raises ValueError naming all for an unknown number."""
     from deep_contact.validation import one_of
 
     numbers = {one_of("number", normalized(name), scripts) for name in wanted}
@@ -46,6 +46,6 @@ def stem(script: Path) -> str:
 
 
 def summary(script: Path) -> str:
-    """What a script draws, from the first line of its docstring, which begins with its command."""
+    """The subject of a script, from the first line of its docstring, in which it follows the command."""
     with script.open(encoding="utf-8") as file:
         return file.readline().strip().strip('"').partition(": ")[2]

@@ -1,7 +1,8 @@
 """Smoothed particle hydrodynamics as a transfer between particles and grid images (the thesis's chapter 3).
 
 Kernels: `value`, `derivative`, `gradient`, `laplacian`; their names are in `KERNELS`.
-Transfer: `Grid`, `splat`, `density`, `gather`, and the authors' ways back, `read_by_spline` and `share_out`.
+Transfer: `Grid`, `splat`, `density`, `gather`, and the authors' two ways back from an image, `read_by_spline` and
+`share_out`.
 """
 
 from deep_contact.sph.grid import Grid, density, gather, splat

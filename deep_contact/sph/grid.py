@@ -5,10 +5,10 @@ particles carry. A transfer is a splat followed by a gather with the same `norma
 
 * "raw": node j holds Σ_k W(|x_j - x_k|, h) S_k (Algorithms 2 and 3; Eq 3.6 where the values are V_k S_k).
 * "particle": the weights of every particle are divided by their sum over the nodes (Appendix A), so the sum of an image
-  is the sum of the values. Read back bilinearly (Algorithm 4), as in the thesis, an isolated particle gets a quarter to
-  all of its value if h is the spacing.
-* "consistent": the image is that of "particle", and the gather divides by the gathered density D, the image of ones.
-  The value of an isolated particle comes back exactly, and so does a constant field. D needs positions only.
+  is the sum of the values. If h is the spacing and the image is read back bilinearly (Algorithm 4), as in the thesis,
+  an isolated particle gets between a quarter and all of its value.
+* "consistent": the image is the same as with "particle". The gather divides by the gathered density D, the splat of
+  ones. So the value of an isolated particle and a constant field come back exactly. D depends on positions alone.
 
 Only the nodes within reach of a particle, r < h, are visited.
 """
@@ -26,8 +26,8 @@ from deep_contact.sph.kernels import as_floats, check_support_radius, kernel_num
 from deep_contact.validation import expect, integer, number, one_of, refuse_where, several
 
 ROUNDING = 1e-9
-"""In spacings: a point that lies beyond the last node by no more is taken to lie on it, and an extent that exceeds a
-whole number of spacings by no more is that number of spacings."""
+"""Tolerance for rounding, in spacings. A point that lies at most this far beyond the last node counts as a point of the
+grid. An extent that exceeds a whole number of spacings by at most this tolerance counts as that whole number."""
 
 _MOST_NODES = 2**31 - 1
 _OPTIONS = {
@@ -36,7 +36,7 @@ _OPTIONS = {
     "unreached": {"error": 0, "zero": 1, "nearest": 2},
     "outside": {"error": 0, "clamp": 1},
 }
-"""Names of options, and the numbers by which Numba code knows them."""
+"""Option -> name of a choice -> the number of that choice in compiled code."""
 
 _RAW, _CONSISTENT, _SPH, _CLAMP = 0, 2, 1, 1
 _ZERO, _NEAREST = 1, 2
@@ -49,7 +49,7 @@ class Grid:
     """A rectilinear grid of nodes. Node (row j, column i) lies at (x0 + i dx, y0 + j dy).
 
     origin: (x0, y0), the first node, m. spacing: (dx, dy), or one number for both, > 0, m.
-    shape: (n_y, n_x), nodes, at least 2 each. Raises ValueError naming the field and the value.
+    shape: (n_y, n_x), numbers of nodes, at least 2 each. Raises ValueError naming the field and the value.
     """
 
     origin: tuple[float, float]
@@ -67,7 +67,7 @@ class Grid:
 
     @classmethod
     def over_box(cls, box, spacing) -> Grid:
-        """The smallest grid from the lower left corner of a box that covers it.
+        """The smallest grid that begins at the lower left corner of a box and covers the box.
 
         box: (x_min, y_min, x_max, y_max), m. spacing: (dx, dy), or one number for both, m. If the spacing does not
         divide the extent, the last nodes lie beyond the box: 30 m at 0.5 m gives 61 nodes, up to 30 m; at 0.7 m it
@@ -95,7 +95,7 @@ class Grid:
 
     @property
     def box(self) -> tuple[float, float, float, float]:
-        """What the grid covers, (x_min, y_min, x_max, y_max), m."""
+        """The rectangle that the nodes span, (x_min, y_min, x_max, y_max), m."""
         (x, y), (dx, dy), (n_y, n_x) = self.origin, self.spacing, self.shape
         return x, y, x + dx * (n_x - 1), y + dy * (n_y - 1)
 
@@ -105,7 +105,7 @@ class Grid:
 
 @njit(cache=True, error_model="numpy")
 def _place(x, first, spacing, count, outside):
-    """A coordinate, moved onto the grid if `outside` says so; and whether it is on the grid."""
+    """A coordinate, moved to the nearest one of the grid if `outside` is "clamp", and whether it is now on the grid."""
     on = -ROUNDING <= (x - first) / spacing <= count - 1 + ROUNDING
     if not on and outside == _CLAMP:
         return min(max(x, first), first + spacing * (count - 1)), True
@@ -116,7 +116,7 @@ def _place(x, first, spacing, count, outside):
 def _reach(x, first, spacing, count, h):
     """Half-open range of the nodes along one axis that may be nearer than h."""
     u, reach = (x - first) / spacing, h / spacing + ROUNDING
-    # Clipped as floats: h may be many more spacings than an integer holds.
+    # Clipped as floats: h may be more spacings than an integer can hold.
     return int(max(math.ceil(u - reach), 0.0)), int(min(math.floor(u + reach), count - 1.0)) + 1
 
 
@@ -143,9 +143,10 @@ def _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights):
 
 @njit(cache=True, error_model="numpy")
 def bilinear_weights(geometry, n_y, n_x, x, y, weights):
-    """Fill `weights` for the corners of the cell around (x, y), Eq 3.16; returns as `_kernel_weights`.
+    """Fill `weights` with the bilinear weights of the corners of the cell around (x, y), Eq 3.16.
 
-    The order: lower left, lower right, upper left, upper right. A point outside the grid acts from its nearest point.
+    Returns what `_kernel_weights` does. The order of the corners: lower left, lower right, upper left, upper right. A
+    point outside the grid acts from the nearest point of the grid.
     """
     x0, y0, dx, dy = geometry
     u, v = min(max((x - x0) / dx, 0.0), n_x - 1.0), min(max((y - y0) / dy, 0.0), n_y - 1.0)
@@ -158,7 +159,7 @@ def bilinear_weights(geometry, n_y, n_x, x, y, weights):
 
 @njit(cache=True, error_model="numpy")
 def _nearest_weight(geometry, n_y, n_x, x, y, weights):
-    """Fill `weights` with 1 for the nearest node; returns as `_kernel_weights`."""
+    """Fill `weights` with 1 for the nearest node. Returns what `_kernel_weights` does."""
     x0, y0, dx, dy = geometry
     i = int(min(max(math.floor((x - x0) / dx + 0.5), 0.0), n_x - 1.0))
     j = int(min(max(math.floor((y - y0) / dy + 0.5), 0.0), n_y - 1.0))
@@ -175,15 +176,16 @@ def _most_nodes(geometry, n_y, n_x, h):
 
 
 # ---- Numba: the transfers ----
-# They return a code and the particle it is about; with any but _DONE the output is unfinished. All input is finite.
+# Each returns a code, and the index of the particle that the code is about. With any code but _DONE the output is
+# incomplete. All input is finite.
 
 
 @njit(cache=True, error_model="numpy")
 def _splat_core(geometry, position, values, h, kernel, normalization, unreached, outside, image):
     """Add Σ_k w_jk S_k to every node j of `image`, in place (Algorithms 2 and 3).
 
-    geometry: `Grid._geometry`. position (k, 2), m; values (k, c); image (n_y, n_x, c).
-    The rest are numbers from the tables above.
+    geometry: `Grid._geometry`. position (k, 2), m; values (k, c); image (n_y, n_x, c). h: support radius, m. The other
+    arguments are the numbers of the kernel and of choices in `_OPTIONS`.
     """
     n_y, n_x, channels = image.shape
     weights = np.empty(_most_nodes(geometry, n_y, n_x, h))
@@ -201,7 +203,7 @@ def _splat_core(geometry, position, values, h, kernel, normalization, unreached,
             if unreached != _NEAREST:
                 return _IS_UNREACHED, k
             i0, i1, j0, j1, total = _nearest_weight(geometry, n_y, n_x, x, y, weights)
-            # Raw weights are densities: times the area of a cell they sum to about 1, and so does this one.
+            # Raw weights are densities: their sum times the area of a cell is about 1. This weight keeps that sum.
             factor = 1.0 / (geometry[2] * geometry[3]) if normalization == _RAW else 1.0
         n = 0
         for j in range(j0, j1):
@@ -215,7 +217,7 @@ def _splat_core(geometry, position, values, h, kernel, normalization, unreached,
 
 @njit(cache=True, error_model="numpy")
 def _density_at(weights, density, i0, i1, j0, j1, total):
-    """Σ_j w_j D_j over a range of nodes; `total`, their Σ_j w_j, without a density."""
+    """Σ_j w_j D_j over a range of nodes. An empty `density` stands for D = 1: the result is then `total`, Σ_j w_j."""
     if density.shape[0] == 0:
         return total
     total, n = 0.0, 0
@@ -230,9 +232,9 @@ def _density_at(weights, density, i0, i1, j0, j1, total):
 def _gather_core(geometry, image, density, position, h, kernel, method, unreached, outside, out):
     """Fill `out`, in place, with Σ_j w_j G_j / Σ_j w_j D_j at every query.
 
-    With bilinear weights and D = 1 that is Algorithm 4. geometry: `Grid._geometry`. image (n_y, n_x, c); density
-    (n_y, n_x), or empty for 1; position (k, 2), m; out (k, c). The rest are numbers from the tables above. Checks that
-    the results are finite.
+    With bilinear weights and D = 1 this is Algorithm 4. geometry: `Grid._geometry`. image (n_y, n_x, c); density
+    (n_y, n_x), or empty for D = 1; position (k, 2), m; out (k, c). h: support radius, m. The other arguments are the
+    numbers of the kernel and of choices in `_OPTIONS`. A result that is not finite ends the loop with a code.
     """
     n_y, n_x, channels = image.shape
     weights = np.empty(_most_nodes(geometry, n_y, n_x, h if method == _SPH else 0.0))
@@ -285,10 +287,10 @@ def splat(
 
     position: (k, 2), m. values: (k, c) or (k,). h: support radius, m. kernel: one of `KERNELS`, dim = 2.
     normalization: "raw", "particle" or "consistent" (the same image as "particle"); see the module.
-    unreached: for a particle with no node within h. "error"; "zero": it adds nothing; "nearest": it goes to the nearest
-    node (with the weight 1, or 1 / (dx dy) if raw).
-    outside: for a particle outside the grid. "error"; "clamp": it acts from the nearest point of the grid. Contacts
-    with a wall lie beyond it by half their penetration: clamp these.
+    unreached: treatment of a particle with no node within h. "error": ValueError; "zero": the particle adds nothing;
+    "nearest": it goes to the nearest node (with the weight 1, or 1 / (dx dy) if raw).
+    outside: treatment of a particle outside the grid. "error": ValueError; "clamp": the particle acts from the nearest
+    point of the grid. The point of a contact with a wall lies beyond the wall by half of the penetration: clamp it.
 
     Raises ValueError naming the argument, what was expected and the value.
     """
@@ -327,16 +329,18 @@ def gather(
 ) -> np.ndarray:
     """Image to particles, float64, shape (k, c), or (k,) for an image of shape (n_y, n_x).
 
-    position: where to read, (k, 2), m. image: (n_y, n_x, c) or (n_y, n_x), of any origin, for instance a network.
+    position: points at which the image is read, (k, 2), m. image: (n_y, n_x, c) or (n_y, n_x), from any source, such as
+    a network.
     normalization: "raw" and "particle" read the image as it is; "consistent" divides by the gathered density.
     density: D of `sph.density`, for "consistent". None means that `position` are the particles themselves: D is then
-    made from them, with h and kernel.
+    computed from them, with h and kernel.
     method: "bilinear" (Algorithm 4, with the matrix of Eq 3.16; Algorithm 4 has it transposed), or "sph", the mean of
     the nodes within h, weighted by W; this is the adjoint of the splat with the normalization "particle".
     h, kernel: as for `splat`; h may be None if neither `method` nor `density` needs it.
-    unreached: for a query with no node within h ("sph") or no density around it ("consistent"). "error"; "zero": it
-    reads 0; "nearest": it reads the nearest node, over that node's density (an error if it has none).
-    outside: for a query outside the grid. "error"; "clamp": it reads the nearest point of the grid.
+    unreached: treatment of a point with no node within h ("sph") or no density around it ("consistent"). "error":
+    ValueError; "zero": the value is 0; "nearest": it is that of the nearest node over that node's density, or
+    ValueError where this density is 0.
+    outside: treatment of a point outside the grid. "error": ValueError; "clamp": the nearest point of the grid is read.
 
     Raises ValueError naming the argument, what was expected and the value, also if a result is not finite.
     """
@@ -386,18 +390,18 @@ def positions(points) -> np.ndarray:
 
 
 def _finite(name: str, array: np.ndarray) -> np.ndarray:
-    """The array. Raises ValueError naming the first number that is not finite."""
+    """The array itself, checked. Raises ValueError naming the first number that is not finite."""
     refuse_where(~np.isfinite(array), name, array, "a finite number")
     return array
 
 
 def _code(name, choice):
-    """The number of an option."""
+    """The number of a choice of the option `name`. Raises ValueError for an unknown choice."""
     return _OPTIONS[name][one_of(name, choice, _OPTIONS[name])]
 
 
 def _raise_unless_done(code, k, grid, position, h) -> None:
-    """Raise the exception for what a core returned."""
+    """Raise the ValueError that belongs to the code of a core, unless the code is _DONE."""
     if code == _DONE:
         return
     at = f"({position[k, 0]}, {position[k, 1]})"

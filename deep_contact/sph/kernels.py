@@ -1,7 +1,7 @@
 """Smoothing kernels: value W(r, h), radial derivative, gradient and Laplacian, on the plane and in space.
 
 A kernel is one function of q = r/h and the dimension that returns W, W' and W'' for support radius h = 1, normalised to
-a unit integral. Everything else (h, the gradient's direction, the Laplacian, r = 0, the edge) is done once for all.
+a unit integral. Everything else (h, the gradient's direction, the Laplacian, r = 0, the edge) is shared by all kernels.
 
 For every kernel:
 
@@ -30,10 +30,10 @@ _WHOLE = math.sqrt(math.pi) * math.erf(math.sqrt(GAUSSIAN_DECAY)) / GAUSSIAN_DEC
 _GAUSSIAN_3D = 1.0 / (math.pi * (_WHOLE - 2.0 * _AT_EDGE / GAUSSIAN_DECAY))
 
 _SMALLEST_H = 1e-50
-"""Supports below it, m, are refused: powers of them are no floats."""
+"""Supports below it, m, are refused: their powers are beyond the range of floats."""
 
 _LARGEST_H = 1e50
-"""Supports above it, m, likewise."""
+"""Supports above it, m, are refused for the same reason."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -107,7 +107,8 @@ def profile(kernel, q, dim):
 def _evaluate(order, kernel, r, h, dim, out):
     """Fill `out` with W (order 0), dW/dr (1) or ∇²W = W'' + (dim - 1) W'/r (2) at the distances r, m^-(dim + order).
 
-    At r = 0 one-sided slope and limit. Returns the index of the first distance that is negative or not finite, or -1.
+    At r = 0 the values are the one-sided slope and the limit. Returns the index of the first distance that is negative
+    or not finite, or -1.
     """
     for k in range(r.shape[0]):
         if not (0.0 <= r[k] < math.inf):
@@ -187,9 +188,10 @@ def check_support_radius(h) -> float:
 
 
 def as_floats(name: str, array) -> np.ndarray:
-    """A C-contiguous float64 array, the same object if it is one. Raises ValueError without real numbers.
+    """The numbers as a writable, C-contiguous float64 array: `array` itself if it is one.
 
-    A read-only one is copied: Numba would take it for another type, and compile anew.
+    A read-only array is copied: Numba would take it for another type, and compile its functions again. Raises
+    ValueError where there are no real numbers.
     """
     if type(array) is np.ndarray and array.dtype == np.float64 and array.flags.carray:
         return array

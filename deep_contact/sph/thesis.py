@@ -12,8 +12,8 @@ from deep_contact.validation import expect, refuse_where
 def splat_by_tree(grid: Grid, position, values, *, h: float, kernel="poly6") -> np.ndarray:
     """Particles to image, shape (n_y, n_x, c): for every node its neighbours, then Σ_k w S_k (Algorithms 2 and 3).
 
-    position: (k, 2), m. values: (k, c). The weights of a particle sum to one (Appendix A); one with no node within h
-    adds nothing. Raises ValueError for an unknown kernel or h.
+    position: (k, 2), m. values: (k, c). The weights of a particle sum to one (Appendix A); a particle with no node
+    within h adds nothing. Raises ValueError for an unknown kernel or h.
     """
     from scipy.spatial import cKDTree
 
@@ -33,16 +33,17 @@ def splat_by_tree(grid: Grid, position, values, *, h: float, kernel="poly6") -> 
     image = np.zeros((len(nodes), values.shape[1]))
     for node, w in weights.items():
         particles = near[node]
-        # A neighbour at exactly r = h has no weight, and may have no other node either.
+        # A particle at exactly r = h has no weight here, and may have no other node.
         share = np.divide(w, total[particles], out=np.zeros_like(w), where=total[particles] > 0)
         image[node] = share @ values[particles]
     return image.reshape(*grid.shape, -1)
 
 
 def read_by_spline(grid: Grid, image, position) -> np.ndarray:
-    """The bicubic spline through all nodes at (k, 2) positions, m: (k, c) of an image (n_y, n_x, c).
+    """Values, (k, c), of the bicubic spline through all nodes of an image (n_y, n_x, c), at positions (k, 2), m.
 
-    The authors' way back from the SPH image. Beyond the grid it reads the nearest point of the grid.
+    This is the authors' way back from the SPH image. At a position beyond the grid the spline is read at the nearest
+    point of the grid.
     Raises ValueError naming the argument and the value, also where a side has fewer than four nodes.
     """
     from scipy.interpolate import RectBivariateSpline
@@ -55,11 +56,12 @@ def read_by_spline(grid: Grid, image, position) -> np.ndarray:
 
 
 def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -> np.ndarray:
-    """What each particle gets where every node shares its values out, by W, among the particles within h: (k, c).
+    """Values of particles, (k, c), where every node shares its values out, by W, among the particles within h.
 
-    The authors' way back from the network's image (n_y, n_x, c): the weights of a node sum to one, so nothing is lost.
-    Each particle that is the only one of its nodes gets back all that it gave; others get a mean. position: (k, 2), m;
-    beyond the grid its nearest point counts. h: support radius of the kernel, m.
+    This is the authors' way back from the network's image (n_y, n_x, c). The weights of a node sum to one, so nothing
+    is lost. A particle that shares no node with another gets back all that it gave; any other particle gets a mean.
+    position: (k, 2), m; for a position beyond the grid the nearest point of the grid counts. h: support radius of the
+    kernel, m.
     Raises ValueError naming the argument and the value.
     """
     from scipy.spatial import cKDTree
@@ -71,7 +73,7 @@ def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -
     node, particle = pairs["i"], pairs["j"]
     weights = kernels.value(kernel, pairs["v"], h)
     total = np.bincount(node, weights, minlength=len(nodes))[node]
-    # At h from its only node a particle has no weight there.
+    # A particle at exactly r = h from its only node has no weight there.
     shares = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0.0)
     parts = shares[:, None] * values.reshape(len(nodes), -1)[node]
     return np.stack([np.bincount(particle, part, minlength=len(at)) for part in parts.T], axis=-1)

@@ -1,1 +1,1 @@
-"""What is measured: comparisons of starts, speed for accuracy, scaling, extremes."""
+"""Experiments of the scripts: comparisons of starts, speed for accuracy, timing, extremes."""

@@ -1,4 +1,4 @@
-"""What several figures of chapter 4 use: layers of Keras on arrays, neurons, and a look into a trained network."""
+"""Shared by the figures of chapter 4: Keras layers on arrays, random layers, feature maps of a trained network."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 
 def by_keras(layer: str, *arguments, x: np.ndarray, weights: Sequence[np.ndarray] = (), **options) -> np.ndarray:
-    """What a Keras layer of this name makes of x, without a batch, in float64."""
+    """The output of the Keras layer `layer` for x, both without a batch, float64."""
     from deep_contact.cnn.backend import keras
 
     made = getattr(keras.layers, layer)(*arguments, dtype="float64", **options)
@@ -24,7 +24,7 @@ def relu(x):
 
 
 def random_layers(sizes: Sequence[int], seed: int) -> list[tuple]:
-    """`forward`'s layers between so many neurons each, with He normal weights (Table 5.2) and small biases."""
+    """(weights, bias) between layers of `sizes` neurons: He normal weights (Table 5.2) and small biases."""
     rng = np.random.default_rng(seed)
     return [(rng.normal(0.0, np.sqrt(2 / n), (n, m)), rng.normal(0.0, 0.1, m)) for n, m in pairwise(sizes)]
 
@@ -32,7 +32,7 @@ def random_layers(sizes: Sequence[int], seed: int) -> list[tuple]:
 def feature_maps(model, image: np.ndarray, names: Sequence[str], training: bool = False) -> dict[str, np.ndarray]:
     """The outputs of some layers for one image (n_y, n_x, c): name -> (n_y', n_x', maps), float32.
 
-    training: with dropout at work. All else stays in inference if `model.trainable` is false.
+    training: whether dropout is at work. All other layers stay in inference if `model.trainable` is false.
     """
     from deep_contact.cnn.backend import keras
 
@@ -41,5 +41,5 @@ def feature_maps(model, image: np.ndarray, names: Sequence[str], training: bool 
 
 
 def strongest(maps: np.ndarray) -> int:
-    """Index of the map, of (n_y, n_x, maps), with the largest standard deviation."""
+    """Index of the map with the largest standard deviation. maps: (n_y, n_x, number of maps)."""
     return int(maps.std(axis=(0, 1)).argmax())

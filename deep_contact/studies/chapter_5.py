@@ -30,10 +30,10 @@ NETWORKS = {"cnn": "models/model.h5", "far field": "models/far_field.h5"}
 
 
 def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
-    """What the cards of some model files say, read without TensorFlow.
+    """Facts from the cards of some model files, read without TensorFlow.
 
-    Returns name -> {"file", "architecture", "parameters": None if the card has none, "visits": states shown in
-    training, each as often as it was}. Raises FileNotFoundError for a missing file, before anything long begins.
+    Returns name -> {"file", "architecture", "parameters": None if the card has none, "visits": number of states shown
+    in training, repetitions included}. Raises FileNotFoundError for a missing file, before anything long begins.
     """
     infos = {}
     for name, path in networks.items():
@@ -44,7 +44,7 @@ def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
 
 
 def card_of(path) -> dict:
-    """What a model file says of its training."""
+    """The card of a model file, which describes its training."""
     return read_metadata(network_file(path))["card"]
 
 
@@ -89,7 +89,7 @@ def thesis_layers(channels: int = 5) -> list[dict]:
 # ---- the CNN start beside the others: Figure 5.9 ----
 
 THESIS_VISITS = 18_208 * 1000
-"""States that the thesis's training showed, in 1,000 epochs; its authors' log held out 4,553 more."""
+"""Number of states that the thesis's training showed, in 1,000 epochs. Its authors' log held out 4,553 more."""
 
 
 @dataclass(frozen=True)
@@ -105,9 +105,9 @@ class ReadBySharing:
 
 
 READ_NETWORK = {"": "", ", shared": ", shared (authors' code),"}
-"""What follows the name of a network's start, by how its image is read back -> the same in claims."""
+"""Suffix of the name of a network's start, by the way its image is read back -> this suffix in claims."""
 
 
 def label_of(network: Mapping) -> str:
-    """A network of `networks_info` in claims: the thesis's or ours, and its file."""
+    """The name of a network of `networks_info` in claims: the thesis's or ours, and its file."""
     return f"{'CNN' if network['architecture'] == 'thesis' else 'far field'} ({Path(network['file']).name})"

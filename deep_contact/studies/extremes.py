@@ -6,7 +6,7 @@ judges the outcome. A scene is
 * **safe** where everything stays in the box and in its order, the circles end no deeper in each other than position
   correction leaves them (three slops, or a tenth of the smallest radius if that is less), and the energy never rises
   by more than a hundredth of its initial value;
-* **degraded** where it stays bounded, but one of the last two does not hold;
+* **degraded** where everything stays bounded, but one of the last two conditions does not hold;
 * **failed** where a number is not finite, a circle has left the box or passed through another, or the energy doubles;
 * **refused** where the engine raises an error before the first step, or an adapter cannot build the scene.
 """
@@ -42,7 +42,7 @@ ENERGY_TOLERANCE = 0.01
 """Rise of the mechanical energy that a safe scene may show, as a share of its initial value."""
 
 SOLVER = PGS(sweeps=50, tolerance=None)
-"""Of a trial, or the iterations of another engine, where they are not what is pushed."""
+"""Solver of a trial, or iterations of another engine, where sweeps are not the quantity that is pushed."""
 
 ACCURATE = PGS(sweeps=100_000, tolerance=1e-9)
 """The most accurate setting here: it nearly always ends by its tolerance."""
@@ -52,8 +52,9 @@ ACCURATE = PGS(sweeps=100_000, tolerance=1e-9)
 class Trial:
     """One scene to run.
 
-    solver: of every engine; ours takes the presets' for a scene that is too stiff for a few sweeps where `recognised`
-    is set. ordered: axis along which the circles have to keep the order of their numbers, or None.
+    solver: its sweeps are those of every engine. recognised: whether ours takes the solver of the presets instead where
+    a scene is too stiff for a few sweeps. ordered: axis along which the circles have to keep the order of their
+    numbers, or None.
     """
 
     scene: State
@@ -73,14 +74,14 @@ def measure(trial: Trial, engine: str = "ours") -> dict:
 
     Returns {"verdict": `SAFE` or another, "message": why it was refused, or how it failed, "finite": whether all
     numbers were, "energy": largest rise of the mechanical energy over its initial value, as a share of the scale,
-    "correction": work of position correction against gravity, likewise, ours only, "settled": deepest penetration of
-    the last tenth of the steps, slops, "speed": largest at the end, m/s, "us": processor time of a step after them}.
-    The numbers are None where there is no run, or no finite one.
+    "correction": work of position correction against gravity, as a share of the scale, ours only, "settled": deepest
+    penetration of the last tenth of the steps, slops, "speed": largest speed at the end, m/s, "us": processor time of a
+    step after the trial's, μs}. A number is None where there is no run, or where it is not finite.
 
     The scale of energy is the initial energy, kinetic and potential above the lowest place in the box; where
     that is 0, the kinetic energy of all circles at 1 m/s.
     """
-    # To read the bodies of other engines takes longer than a step of theirs.
+    # Reading the bodies of another engine takes longer than one of its steps.
     every = 1 if engine == "ours" else max(1, trial.scene.bodies.count // 250)
     watch, more = _Watch(trial, every), max(20, trial.steps // 10)
     try:
@@ -116,7 +117,7 @@ def _begin(trial: Trial, engine: str) -> Run:
 
 
 class _Watch:
-    """Observes the bodies after every so many steps."""
+    """The largest values of what is observed of the bodies, once in `every` steps."""
 
     def __init__(self, trial: Trial, every: int):
         self.every, self.trial, self.scene, self.before = every, trial, trial.scene, trial.scene.bodies
@@ -129,8 +130,8 @@ class _Watch:
 
     def see(self, bodies: Bodies, *, ours: bool) -> None:
         step, axis = self.every * (len(self.depth) + 1) - 1, self.trial.ordered
-        # A rise that the next step takes back is none: a circle that is held early has the velocity of its whole step
-        # until the next step solves its contact (`continuous`).
+        # A rise counts only if the next step keeps it: a circle whose path ends early at a contact has the velocity of
+        # a whole step until the next step solves that contact (`continuous`).
         rise = (mechanical_energy(self.scene, bodies) - self.first) / self.scale
         self.energy, self.rise = max(self.energy, min(self.rise, rise)), rise
         self.speed = float(np.hypot(*bodies.velocity.T).max())
@@ -149,7 +150,7 @@ class _Watch:
             self.lost = self.lost or f"step {step}: a circle has passed through another"
 
     def outcome(self, error: str | None = None) -> dict:
-        """What `measure` returns. error: that ended the run."""
+        """The result of `measure`. error: message of the error that ended the run, or None."""
         slop, settled = self.scene.scales.slop, max(self.depth[-max(1, len(self.depth) // 10) :], default=0.0)
         # Rounding at the circles' coordinates is not penetration.
         allowed = min(POSITION_TOLERANCE * slop, 0.1 * float(self.scene.bodies.radius.min())) * (1 + 1e-9)
@@ -186,17 +187,17 @@ def silo(n: int, *, radius: float = 1.0, **options) -> State:
 
 
 def with_lid(scene: State, top: float) -> State:
-    """The scene in a box that is as high as this, m."""
+    """The scene in a box whose upper wall is at y = `top`, m."""
     return scene.replace(world=replace(scene.world, box=(*scene.world.box[:3], top)))
 
 
 def with_bodies(scene: State, **fields) -> State:
-    """The scene with some fields of its bodies changed, and its contacts to be found again."""
+    """The scene with some fields of its bodies changed, and without contacts, so that they are found again."""
     return scene.replace(bodies=scene.bodies._replace(**fields), contacts=None)
 
 
 def loaded_silo(n: int, ratio: float, *, at: int = -1) -> State:
-    """A silo whose circles weigh as always (r = 1), but for one that weighs `ratio` times as much."""
+    """A silo of circles of radius 1 m, one of which (`at`) weighs `ratio` times as much as the others."""
     scene = silo(n)
     mass = scene.bodies.mass.copy()
     mass[at] *= ratio
@@ -287,7 +288,7 @@ def _stacked(scene: State, steps: int, **options) -> Trial:
 
 
 def _misled(kind: str) -> Callable:
-    # Every step starts as badly as the first, so 40 show the effect.
+    # Every step starts as badly as the first, so 40 steps show the effect.
     return lambda v, s: Trial(pyramid(5), min(s, 40), solver=ACCURATE, warm_start=misleading_start(kind, v))
 
 
@@ -320,7 +321,7 @@ QUANTITIES: dict[str, tuple[str, tuple, Callable[[float, int], Trial]]] = {
     "friction": (
         "", (0.0, 1e-9, 0.5, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12), lambda v, s: Trial(small_pile(friction=v), 2 * s)
     ),
-    # At e = 1 friction alone brings it to rest, which takes 1,300 steps.
+    # At e = 1 friction alone brings the pile to rest, within 1,300 steps.
     "restitution": ("", (0.0, 0.25, 0.5, 0.75, 1.0), lambda v, s: Trial(small_pile(restitution=v), 4 * s)),
     "overlap": ("of the diameter", (0.0, 1e-6, 0.01, 0.1, 0.5, 0.9, 1.0), lambda v, s: Trial(overlapping(v), s)),
     "coinciding circles": ("circles", (2, 5, 10, 20, 50, 100, 200), lambda v, s: Trial(overlapping(1.0, v), s)),
@@ -337,14 +338,14 @@ QUANTITIES: dict[str, tuple[str, tuple, Callable[[float, int], Trial]]] = {
     "start, pulling": ("weights", (1.0, 10.0, *_FAR), _misled("pulling")),
     "start, outside the cone": ("weights", (0.5, 1.0, 10.0, *_FAR), _misled("outside")),
 }  # fmt: skip
-"""What Figure 6.6 pushes -> its unit, the values, and the trial of a value in so many steps."""
+"""Quantity that Figure 6.6 pushes -> its unit, its values, and the function (value, steps) -> `Trial`."""
 
 OURS_ALONE = ("tolerance", "start, huge", "start, pulling", "start, outside the cone")
 """Quantities that other engines do not have."""
 
 
 def run_case(case: dict) -> dict:
-    """What `measure` finds of a case {"quantity", "value", "engine", "steps"}, with the first three beside it.
+    """The first three fields of a case {"quantity", "value", "engine", "steps"}, and the result of `measure` for it.
 
     A scene that cannot be built counts as refused.
     """

@@ -1,7 +1,7 @@
-"""Answers that are known: what a setting of the study has to get right, whatever it does to piles.
+"""Motions with known answers, which a setting of the study has to get right beside piles.
 
 An over-relaxed solver with few sweeps can be good at piles and wrong in the simplest impact: a sweep with ω leaves
-1 − ω of a lone contact's error. A study of piles does not show that.
+1 − ω of a lone contact's error. A study of piles does not show this error.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ G = -GRAVITY[1]
 
 
 def error(setting: Mapping) -> float:
-    """The largest error of a setting among these motions, % of their speeds. setting: as `trade.solver_of` reads it."""
+    """The largest error of a setting among `motions`, % of their speeds. setting: as `trade.solver_of` reads it."""
     return 100.0 * max(wrong(end(setting, scene, seconds).bodies) for scene, seconds, wrong in motions())
 
 
 def end(setting: Mapping, scene: State, seconds: float) -> State:
-    """The state to which a run of a scene with a setting has come after so many seconds."""
+    """The state of a run of a scene with a setting after `seconds`, s."""
     run = Run(scene, setting)
     run.advance(round(seconds / setting["dt"]))
     return run.state()
 
 
 def motions() -> Iterator[tuple[State, float, Callable[[Bodies], float]]]:
-    """A scene, how long it runs, s, and the error of its end, in speeds that it has.
+    """Yields (scene, duration, s, function from the bodies at the end to their error, as a share of the scene's speed).
 
     A disc of 1 m hits the floor at 6 m/s: k_t = m / 3, so it sticks where μ (1 + e) v_n ≥ v_t / 3, and otherwise slides
     on (Coulomb's law). Two discs meet (Newton's law). A disc slides until it rolls (Coriolis 1835), rolls or slides
@@ -59,9 +59,10 @@ def motions() -> Iterator[tuple[State, float, Callable[[Bodies], float]]]:
 
 
 def scene_of(places, *, slope=0.0, gravity=G, friction=0.0, restitution=0.0, segments=(), **bodies) -> State:
-    """Circles of 1 m in a box of 400 m × 40 m whose floor is a slope, degrees, by a gravity that leans.
+    """Circles of radius 1 m in a box of 400 m × 40 m.
 
-    bodies: further arguments of `make_bodies`.
+    slope: angle of the floor, degrees; the box stays upright, and gravity leans. bodies: further arguments of
+    `make_bodies`.
     """
     leaning = gravity * sin(radians(slope)), -gravity * cos(radians(slope))
     constants = {"friction": friction, "restitution": restitution, "segments": segments}

@@ -20,22 +20,22 @@ KINDS = {
     "settling": (1.0, 0.5),
     "resting": (1.0, 0.05),
 }
-"""Kind of pile -> contacts a circle that it has at least, and root mean square speed that it is below, m/s."""
+"""Kind of pile -> its least number of contacts per circle, and the limit of its root mean square speed, m/s."""
 
 THOROUGH = NNCG(sweeps=300)
-"""Solves the steps of a pile."""
+"""Solver of the steps of a pile."""
 
 SETTLE = BatchedPGS(sweeps=10, tolerance=None, position_sweeps=3)
-"""Lets a packing settle."""
+"""Solver of the steps in which a packing settles."""
 
 
 def scene(n_bodies: int, seed: int, **options) -> State:
-    """The thesis's scene for 100 circles and fewer, otherwise a loose lattice that falls. options: of both."""
+    """The thesis's scene for 100 circles and fewer, otherwise a loose lattice that falls. options: of either."""
     return (circles_in_box if n_bodies <= 100 else lattice_in_box)(n_bodies, seed=seed, **options)
 
 
 def pile(kind: str, n_bodies: int, seed: int, *, solver=THOROUGH, most: int = 2000, make=scene) -> State:
-    """A scene of `make`, simulated until it is of a kind of `KINDS`, or as it is after `most` steps."""
+    """A scene of `make`, simulated until it is a pile of this kind (`KINDS`), but for at most `most` steps."""
     contacts, slowest = KINDS[one_of("kind", kind, KINDS)]
     state = make(n_bodies, seed=seed)
     for _ in range(most // 10):
@@ -48,8 +48,9 @@ def pile(kind: str, n_bodies: int, seed: int, *, solver=THOROUGH, most: int = 20
 def packing(n_bodies: int, rng, *, smallest: float = 0.8, width: float = 1.0, friction: float = 0.5) -> State:
     """Unequal circles close to a hexagonal packing, which do not have to fall before they are a pile.
 
-    rng: numpy Generator. Radii are uniform in `smallest` to 1 m. From 0.8 m no crystal forms, and there are about as
-    many contacts as in a pile that was dropped. width: of the box, in that of a square of so many circles.
+    rng: numpy Generator. Radii are drawn evenly from `smallest` to 1 m. With a smallest radius of 0.8 m no crystal
+    forms, and there are about as many contacts as in a pile that was dropped. width: width of the packing over its
+    width as a square.
     """
     columns, pitch, jitter = math.ceil(math.sqrt(n_bodies) * width), 1.85, 0.02
     row, column = np.divmod(np.arange(n_bodies), columns)
@@ -61,7 +62,7 @@ def packing(n_bodies: int, rng, *, smallest: float = 0.8, width: float = 1.0, fr
 
 
 def packed_pile(n_bodies: int, seed: int = 0, *, steps: int) -> State:
-    """A `packing` that settles for so many steps."""
+    """A `packing` that has settled for `steps` time steps."""
     scene = packing(n_bodies, np.random.default_rng(seed))
     return simulate(scene, steps=steps, solver=SETTLE).state
 

@@ -1,4 +1,4 @@
-"""Scenes × settings × seeds -> rows of errors and times; the scenes of the study of runs, and what presets take of it.
+"""The study of runs: scenes × settings × seeds -> rows of errors and times; its scenes; the settings of presets.
 
 `observed_rows` measures errors: every setting runs the same scenes, by the functions of `deep_contact.trade`.
 `timed_rows` measures times, one after the other, on a machine that does nothing else. The study (run_tradeoff.py), the
@@ -38,23 +38,23 @@ from deep_contact.trade import states_of
 from deep_contact.validation import one_of
 
 RESULTS = {"results": "data/reference/run_tradeoff.json"}
-"""The option of figures that draw the study: its results file."""
+"""The option of figures that draw the study: the path of its results file."""
 
 INTERVAL = 5 * TIME_STEP
-"""Between two observations, s."""
+"""Time between two observations of a run, s."""
 
 SECONDS = 6.0
-"""Of a run of the study."""
+"""Duration of a run of the study, s."""
 
 
 def gas(n_bodies: int, *, gap: float = 1.0, restitution: float = 0.8, seed: int = 0) -> State:
     """Circles on a loose lattice without gravity, whose velocities are drawn; collisions cool it.
 
-    The fastest one has the speed that the time steps are meant for, `FASTEST` √(g r) of r = 1 m under 9.81 m/s².
+    The largest speed is the one for which the time steps are meant, `FASTEST` √(g r) with r = 1 m and g = 9.81 m/s².
     """
     rng = np.random.default_rng(seed)
     lattice = lattice_in_box(n_bodies, gap=gap, restitution=restitution, gravity=(0.0, 0.0), seed=rng)
-    most = FASTEST * math.sqrt(-0.5 * GRAVITY[1])  # of a component
+    most = FASTEST * math.sqrt(-0.5 * GRAVITY[1])  # of a component of the velocity
     velocity = rng.uniform(-most, most, (n_bodies, 2))
     return lattice.replace(name=f"gas_{n_bodies}", bodies=lattice.bodies._replace(velocity=velocity))
 
@@ -62,7 +62,7 @@ def gas(n_bodies: int, *, gap: float = 1.0, restitution: float = 0.8, seed: int 
 def two_densities(n_bodies: int, *, ratio: float, heavy: str = "mixed", seed: int = 0) -> State:
     """A pile in which some circles are `ratio` times as dense as the others.
 
-    heavy: which of them: "mixed", 30 % drawn by chance, or the half "above" or "below" at the start.
+    heavy: the dense circles: "mixed", 30 % drawn at random; "above" or "below", that half at the start.
     """
     pile = piles.scene(n_bodies, seed)
     height = pile.bodies.position[:, 1]
@@ -75,7 +75,7 @@ def two_densities(n_bodies: int, *, ratio: float, heavy: str = "mixed", seed: in
 
 
 def dam_break(n_bodies: int, *, aspect: float = 2.0, room: float = 4.0, seed: int = 0, **options) -> State:
-    """A loose lattice `aspect` times as high as wide at the left wall of a box `room` times as wide: it collapses.
+    """A loose lattice, `aspect` times as high as wide, that collapses at the left wall of a box `room` times as wide.
 
     options: those of `lattice_in_box`.
     """
@@ -85,10 +85,10 @@ def dam_break(n_bodies: int, *, aspect: float = 2.0, room: float = 4.0, seed: in
 
 
 def piston(n_bodies: int, *, speed: float = 1.0, seed: int = 0, **options) -> State:
-    """A loose lattice that falls beside a wall, which pushes what lies there along the floor at `speed`, m/s.
+    """A loose lattice that falls beside a moving wall, which pushes the circles along the floor at `speed`, m/s.
 
-    The box is so wide that the pile does not reach its other side: between two walls a row of circles is a rod, which
-    bursts when it is full. options: those of `lattice_in_box`.
+    The box is so wide that the pile does not reach its other side: between two walls a row of circles would be a rod,
+    which bursts when it fills the gap. options: those of `lattice_in_box`.
     """
     lattice = lattice_in_box(n_bodies, seed=seed, **options)
     _, _, width, height = lattice.world.box
@@ -116,7 +116,7 @@ KINDS = {
     "hopper": {"make": hopper},
     "piston": {"make": piston},
 }
-"""Kind of scene -> options of `piles.scene`, or of the scene that is named."""
+"""Kind of scene -> arguments of `piles.scene`, or of the function `make`."""
 
 DENSE_KINDS = [kind for kind in KINDS if "1 : " in kind or kind == "dam break"]
 """Kinds that need more sweeps: two densities, and a dam that breaks."""
@@ -125,7 +125,7 @@ WALLED_KINDS = ["terrain", "hopper", "piston"]
 """Kinds with segments, still ones and one that moves."""
 
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
-"""Taken for the limit of small steps; Figure 6.2 shows that the steps before it come to the same within the noise."""
+"""The setting taken for the limit of small steps. Figure 6.2: the next longer steps give the same within the noise."""
 
 
 def scene(kind: str, n_bodies: int, seed: int) -> State:
@@ -147,12 +147,12 @@ def made(make: Callable, kind: str, n_bodies: int, seed: int) -> State:
 
 
 def observed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_):
-    """What is looked at of one run of a scene with a setting."""
+    """The observation (`run_errors.observe`) of one run of a scene with a setting."""
     return observe(states_of(made(make, kind, n_bodies, seed), setting, round(seconds / INTERVAL), INTERVAL))
 
 
 def timed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_) -> float:
-    """Mean time of the scene's Δt in a run with a setting, μs."""
+    """Mean computing time of the scene's Δt in a run with a setting, μs."""
     start = made(make, kind, n_bodies, seed)
     return 1e6 * trade.timed(start, setting, seconds) * start.dt / seconds
 
@@ -169,14 +169,14 @@ def observed_rows(
     """A row with errors for each case.
 
     cases: key -> (setting, number of seeds). The first case of a scene is its reference, which has no errors.
-    make: (kind, n_bodies, seed) -> scene, a function found by import. seconds: of a run. work: folder where finished
-    parts are kept: a study of the same commit does not compute them again.
+    make: (kind, n_bodies, seed) -> scene, a function that can be imported. seconds: duration of a run, s. work: folder
+    in which finished parts are kept, so that a study of the same commit does not compute them again.
     """
     common = {"seconds": seconds, "commit": commit()}
     parts = [(key, common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": setting})
              for key, (setting, count) in cases.items() for one in parallel.seeds(seed, count)]  # fmt: skip
-    parts.sort(key=lambda part: part[0][1] / part[1]["setting"]["dt"])  # the quick ones first
-    seen: dict[Key, list] = {key: [] for key in cases}  # in the order of seeds: each meets the reference of its scene
+    parts.sort(key=lambda part: part[0][1] / part[1]["setting"]["dt"])  # quick runs first
+    seen: dict[Key, list] = {key: [] for key in cases}  # in the order of seeds: a run meets the reference of its scene
     tasks = [part for _, part in parts]
     for (key, _), stored in zip(parts, done("observed", partial(observed, make), tasks, work=work, jobs=jobs)):
         seen[key].append(observation(stored))
@@ -196,7 +196,7 @@ def timed_rows(
 ) -> list[dict]:
     """The rows with "times", μs, and "us", their median. Nothing else should run meanwhile.
 
-    times: key -> how many. Each is measured in a process of its own, on a scene of another seed.
+    times: key -> number of times to measure, each in a process of its own, on a scene of another seed.
     """
     common, took = {"seconds": seconds, "commit": commit()}, {key: [] for key in rows}
     scenes = parallel.seeds(seed, max(times.values(), default=0))
@@ -219,8 +219,8 @@ def done(name: str, function: Callable, parts: Sequence[dict], *, work: Path, jo
     """The results of a function for several parts, in the order of the parts. Each part is a dict of its arguments.
 
     A result is read from its file in the folder `work`. Where there is no file, or JSON cannot read it, the result is
-    computed and stored. name: what the names of the files begin with. function: found by import; JSON can hold what it
-    returns. jobs: as in `parallel.finished`; a process stores its own results.
+    computed and stored. name: begin of the files' names. function: can be imported, and returns what JSON can hold.
+    jobs: as in `parallel.finished`; a process stores its own results.
     """
     work.mkdir(parents=True, exist_ok=True)
     run = partial(_done, name, function, work)
@@ -241,7 +241,7 @@ def _done(name: str, function: Callable, work: Path, arguments: dict):
 
 
 def read_study(path) -> dict:
-    """The "plain" rows of a results file, of plain piles with errors, and the "presets" that all of its rows make.
+    """A stored study: "plain", its rows of plain piles with errors, and "presets", the `presets` of all its rows.
 
     path: from the current folder, or else of a file that comes with the package.
     """
@@ -250,11 +250,11 @@ def read_study(path) -> dict:
 
 
 def presets(rows: Sequence[Mapping]) -> list[dict]:
-    """For each size and preset the setting that it takes, and the cheapest of each rival that keeps it.
+    """For each size and preset our setting, and the cheapest setting of each rival that keeps the preset.
 
     Returns [{"n_bodies", "preset", "kinds": kind -> ours, "peers": engine -> on plain piles, "ratio"}]. A setting is
     {"name", "us", "times", "seeds"}, or None where there is none. Ours is what `simulate(accuracy=…)` takes, which
-    leaves a margin (`presets.keeping`); a rival's setting may use up all of its tolerances.
+    leaves a margin (`presets.keeping`); a rival's setting may use up the tolerances.
     ratio: time of the fastest rival over ours on plain piles, [value, low, high], None where it is unknown. The value
     is the median over the processes that measured times. Low is the least of these ratios and of those that follow with
     our errors at the upper ends of their intervals and theirs at the lower ends. High is the largest, with ours at the
@@ -282,7 +282,7 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
         value, low, high = (ratios(n, preset, *ends) for ends in ((0, 0), (2, 1), (1, 2)))
         if value is None:
             return [None] * 3
-        # The value too: the margin that `accuracy=` leaves can make it dearer than what keeps at the ends.
+        # The values count too: the margin of `accuracy=` can make ours dearer than the settings at the ends.
         return [float(np.median(value)), low and min(*low, *value), high and max(*high, *value)]
 
     kinds = {n: dict.fromkeys(row["kind"] for row in rows if row["n_bodies"] == n) for n in sizes_of(rows)}
@@ -299,10 +299,10 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
 
 
 def rounded(error: float) -> float:
-    """An error with the three digits that the presets' table has, so that it and the study choose alike."""
+    """An error with three digits, as in the presets' table, so that table and study choose the same settings."""
     return float(f"{error:.3g}")
 
 
 def sizes_of(rows: Iterable[Mapping]) -> list[int]:
-    """Numbers of circles, ascending."""
+    """The numbers of circles of the rows, ascending."""
     return sorted({row["n_bodies"] for row in rows})

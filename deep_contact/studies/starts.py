@@ -1,7 +1,7 @@
 """The thesis's experiments: a scene, some starts, a solver → convergence rates (sections 3.4, 5.1 and 5.4).
 
 Starts are compared in two ways. Paired: one reference run makes the states, and every start solves the same states, so
-that only the start differs. Independent, as in the thesis: every start drives a run of its own.
+that only the start differs. Independent, as in the thesis: every start has a run of its own.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from deep_contact.validation import flag, list_of, number, one_of
 from deep_contact.warm_start import Cnn, Sph, Start, WarmStart, solved_impulses, warm_start_of
 
 THRESHOLD = constants.THETA_TOLERANCE
-"""θ at which a solve counts as done where sweeps are counted, N·s."""
+"""θ at which a solve counts as done, where its sweeps are counted, N·s."""
 
 THESIS_WORLD = {"friction": constants.FRICTION, "restitution": constants.RESTITUTION, "dt": constants.TIME_STEP}
 """Options of every scene that figures simulate."""
@@ -42,33 +42,33 @@ THESIS_SCENE = {"n_bodies": 100, "size": 30.0} | THESIS_WORLD
 """Options of the thesis's scene (`scene_of`)."""
 
 THESIS_SETTINGS = THESIS_SCENE | {"steps": 600, "sweeps": 3000, "scenes": 12}
-"""Options of the thesis's comparisons: its scene, steps, sweeps a step; its scenes are fewer."""
+"""Options of the thesis's comparisons: its scene, its steps, its sweeps a step; fewer scenes than there."""
 
 THOROUGH = PGS()
-"""Solves the states of a run to the tolerance of the thesis's authors' code."""
+"""Solver of the states of a run, to the tolerance of the thesis's authors' code."""
 
 MODES = ("paired", "independent")
 
 REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
-"""Solver of the solutions that velocity errors are measured against: it sweeps on, so that no start is favoured."""
+"""Solver of the reference of velocity errors. It sweeps on from a solution, so that no start is favoured."""
 
 TRANSFERS = {"sph": "thesis", "sph spline": "spline"}
-"""Start -> how it reads its image (`Sph`): as Algorithm 4 prints it, and as the thesis's authors programmed it."""
+"""Start -> transfer of `Sph`: its image is read as Algorithm 4 prints it, or as the thesis's authors programmed it."""
 
 READ = {"sph": "bilinear (printed)", "sph spline": "spline (authors' code)"}
-"""The same in claims."""
+"""Start -> the way back from its image, in the words of claims."""
 
 SPACINGS = {
     "0.25 to 0.75 m (text, code)": (0.25, 0.5, 0.75),
     "0.25 to 1 m (code's search, d ≤ r)": (0.25, 0.5, 0.75, 1.0),
 }
-"""Which d are compared, m. The thesis prints no list: its text names 0.25 and 0.5, its authors' code runs with 0.75."""
+"""Source -> spacings d that are compared, m. The thesis has no list: its text names 0.25 and 0.5, the code 0.75."""
 
 SPACING = 0.5
 """d = h that the thesis chooses, m."""
 
 CHOSEN = {name: {"spacing": SPACING, "transfer": transfer} for name, transfer in TRANSFERS.items()}
-"""The SPH start at d = h = 0.5 m, which the thesis chooses, both ways."""
+"""Start -> fields of `Sph`: d = h = 0.5 m, which the thesis chooses, read back in both ways."""
 
 
 def solved_states(
@@ -86,18 +86,18 @@ def solved_states(
 
 
 def sweeps_to(theta: np.ndarray, threshold: float = THRESHOLD) -> int:
-    """Sweeps until θ is at most the threshold, or all sweeps if it never is."""
+    """Number of sweeps until θ is at most the threshold, or of all sweeps if θ never is."""
     within = np.flatnonzero(theta <= threshold)
     return int(within[0]) + 1 if within.size else theta.size
 
 
 def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> dict[str, np.ndarray]:
-    """{"theta": mean θ after each sweep, Eq 2.30, (sweeps,), "sweeps": `sweeps_to` of each solve}, by their θ."""
+    """{"theta": mean θ after each sweep, Eq 2.30, (sweeps,), "sweeps": `sweeps_to` of each solve}, from all θ."""
     return {"theta": mean_theta(thetas, sweeps), "sweeps": np.array([sweeps_to(theta) for theta in thetas])}
 
 
 def _seconds_of(start, state: State, solver) -> tuple[float, float]:
-    """What a start, and a solve from its impulses, take for a state, s: the least of three."""
+    """Times of a start, and of a solve from its impulses, for a state, s: each the least of three."""
     impulse = start(state, solver)
     both = {"start": lambda: start(state, solver), "solve": lambda: solve_contacts(state, solver=solver, start=impulse)}
     took = interleaved(both, repeats=3)
@@ -112,12 +112,13 @@ def paired(
     velocity_sweeps: Sequence[int] = (),
     seconds: bool = False,
 ) -> dict[str, dict[str, np.ndarray]]:
-    """`convergence_of` every start on the same states, each solved with so many sweeps.
+    """`convergence_of` every start on the same states, each solved with `sweeps` sweeps.
 
-    starts: name -> start, as `simulate` takes it; or names of starts alone.
-    With velocity_sweeps also "velocity": relative velocity errors after so many sweeps, against the solution swept on
-    by `REFERENCE`; a row a state, not finite where nothing was to be solved. With seconds also "seconds": what the
-    start and the solve of each state took, (states, 2), s, the least of three; nothing else should run meanwhile.
+    starts: name -> start, as `simulate` takes it; or names of starts alone. velocity_sweeps: numbers of sweeps after
+    which the relative velocity errors are measured, against the solution that `REFERENCE` has swept on. seconds:
+    whether times are measured; nothing else should run meanwhile. Returns start -> results of `convergence_of`, with
+    velocity_sweeps also "velocity": errors, a row for each state, not finite where there was nothing to solve; with
+    seconds also "seconds": times of the start and of the solve of each state, (states, 2), s, each the least of three.
     """
     from deep_contact.cnn.evaluation import velocity_errors
 
@@ -148,7 +149,7 @@ def swept_on(state: State) -> State:
 
 
 def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> dict[str, np.ndarray]:
-    """`convergence_of` the steps with contacts of a run that a start drives, each solved with so many sweeps."""
+    """`convergence_of` the steps with contacts of a run with a start, each solved with `sweeps` sweeps."""
     thetas = []
 
     def keep(state: State, record) -> None:
@@ -161,7 +162,7 @@ def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> d
 
 @dataclass(frozen=True)
 class RoundedCopy:
-    """The solution itself, each impulse rounded to so many significant digits."""
+    """A start: the solution itself, each impulse rounded to `digits` significant digits."""
 
     digits: int
 
@@ -188,9 +189,9 @@ def start_of(description) -> WarmStart:
 
 
 def scene_of(options: Mapping, seed: int) -> State:
-    """The thesis's scene with those of `THESIS_SCENE` that the options have, among others.
+    """The thesis's scene, with the options of `THESIS_SCENE` that are set; others are ignored.
 
-    "n_bodies" may be a pair (low, high): a random number of that range.
+    "n_bodies" may be a pair (low, high): the number of circles is then drawn from this range.
     """
     rng, world = np.random.default_rng(seed), {name: options.get(name, own) for name, own in THESIS_SCENE.items()}
     n_bodies, dt = world.pop("n_bodies"), number("dt", world.pop("dt"), above=0)
@@ -200,13 +201,13 @@ def scene_of(options: Mapping, seed: int) -> State:
 
 
 def _run(task: tuple, *, steps, sweeps, **scene_options) -> dict[str, dict]:
-    """One part of `compare_starts`, small enough to be sent to another process: (mode, seed, starts)."""
+    """One part of `compare_starts`. task: (mode, seed, starts), small enough to be sent to another process."""
     mode, seed, descriptions = task
     scene = scene_of(scene_options, seed)
     starts = {name: start_of(description) for name, description in descriptions.items()}
     if mode == "independent":
         return {name: independent(scene, start, steps=steps, sweeps=sweeps) for name, start in starts.items()}
-    # Solved with as many sweeps as the starts get, as the thesis's copy of the world is.
+    # The states are solved with as many sweeps as the starts get, as in the thesis's copy of the world.
     return paired(solved_states(scene, steps=steps, solver=PGS(sweeps=sweeps, tolerance=None)), starts, sweeps=sweeps)
 
 
@@ -266,13 +267,13 @@ def table_of_starts(data: dict) -> list[list]:
 
 
 FLOOR = 1e-9
-"""Where smaller θ are drawn, N·s."""
+"""Smaller θ are drawn at this value, N·s."""
 
 
 def draw_comparison(data: dict, title: str, over: str | None = "builtin", hidden: Sequence[str] = ()):
-    """θ by sweep in runs of their own, without the `hidden` starts, and the ratios of those that are near one start.
+    """Draw θ by sweep in independent runs, without the `hidden` starts, and the ratios of starts near the start `over`.
 
-    over: this start; None draws no ratios.
+    over: the start whose θ divides; None draws no ratios. Returns the figure.
     """
     figure, panels = plotting.subplots(1, 2 if over else 1, size=(10.0 if over else 6.0, 4.6), squeeze=False)
     (left, *right), starts, sweeps = panels[0], data["independent"], data["sweep"]
@@ -291,12 +292,12 @@ def draw_comparison(data: dict, title: str, over: str | None = "builtin", hidden
 
 
 def bands(data: dict, of: str = "95 %, all sweeps at once") -> str:
-    """What a title says of the bands, which one scene does not have."""
+    """The words of a title on the bands; empty for a single scene, which has none."""
     return f"; bands: {of}" if verdicts.scenes_of(data["independent"]) > 1 else ""
 
 
 def draw_theta(ax, data: dict, names: Sequence[str]) -> None:
-    """Mean θ by sweep of some starts, in runs of their own, with the quartiles of the scenes."""
+    """Draw the mean θ by sweep of some starts in independent runs, with the quartiles of the scenes."""
     styles = plotting.styles_of(list(data["independent"]))
     for name in names:
         start = data["independent"][name]
@@ -310,7 +311,7 @@ def draw_theta(ax, data: dict, names: Sequence[str]) -> None:
 
 
 def draw_ratios(ax, data: dict, names: Sequence[str], over: str) -> None:
-    """θ of some starts over that of one of them, in runs of their own, with the bands of `verdicts`."""
+    """Draw θ of some starts over θ of the start `over`, in independent runs, with the bands of `verdicts`."""
     styles = plotting.styles_of(list(data["independent"]))
     for name in names:
         plotting.band(ax, data["sweep"], *verdicts.intervals(data["independent"], name, over), **styles[name])
@@ -332,7 +333,7 @@ def convergence_figure(
 ) -> Figure:
     """A figure of `compare_starts`' data with the thesis's settings; starts: name -> description.
 
-    Those described as in `CHOSEN` follow the figure's option "spacing".
+    A start that is described as in `CHOSEN` takes its spacing from the figure's option "spacing".
     """
     plain_sph = {"spacing", "transfer"}
     chosen = {name: of for name, of in starts.items() if isinstance(of, Mapping) and of.keys() == plain_sph}
@@ -357,8 +358,8 @@ def grid_of(d: float, h: float, start: str = "sph") -> str:
 def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[int] = ()) -> Figure:
     """Figure 5.4 or 5.5: the thesis's search for grid spacing and support radius of a kernel (section 5.1.3).
 
-    Its data: `compare_starts`, in runs of their own, of all pairs (d, h) by their names (`grid_of`), both ways back;
-    "numbers": the same of the pairs d = h, read bilinearly, for other numbers of circles.
+    Its data are those of `compare_starts`, in independent runs, for all pairs (d, h) by their names (`grid_of`), in
+    both ways back; and "numbers": number of circles -> the same data for the pairs d = h, read bilinearly.
     """
     title = f"Which support h and spacing d are best with {kernel}?"
 
@@ -408,7 +409,7 @@ def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[in
 def transfer_loss(states: Sequence[State], start: Sph, *, method: str = "bilinear") -> float:
     """Change of the solved impulses by the round trip through the grid: mean over states of ‖λ' − λ‖ / ‖λ‖.
 
-    method: of the thesis's transfer for reading back, see `sph.gather`; the consistent transfer is bilinear.
+    method: how the image of the thesis's transfer is read, as for `sph.gather`; the consistent transfer is bilinear.
     """
     errors = []
     for state in states:
@@ -420,12 +421,12 @@ def transfer_loss(states: Sequence[State], start: Sph, *, method: str = "bilinea
 
 
 def motion_loss(states: Sequence[State], start: Sph) -> dict[str, float]:
-    """What the image of the circles' motion (Algorithm 2) loses, mean over states, relative.
+    """Relative losses in the image of the circles' motion (Algorithm 2), means over the states.
 
-    "velocities of circles": channels are read back where the circles are, and divided by the channel of the masses,
-    which every circle knows of itself: ‖u' − u‖ / ‖u‖ with u = (v_x, v_y, ω). The others are sums over the nodes beside
-    those over the circles, over the sum of sizes: "mass and momentum" (the larger), "energy" and "angular momentum" of
-    motion without spin.
+    "velocities of circles" is ‖u' − u‖ / ‖u‖ with u = (v_x, v_y, ω). Here u' is read from the image at the circles; it
+    is scaled by the mass of each circle, which is known, over the mass that is read. The other losses compare sums over
+    the nodes with sums over the circles, as a share of the sum of sizes: "mass and momentum" (the larger one), "energy"
+    and "angular momentum", of motion without spin.
     """
     errors = []
     h = start.spacing if start.support is None else start.support
@@ -449,7 +450,7 @@ def motion_loss(states: Sequence[State], start: Sph) -> dict[str, float]:
 
 
 def _sums(places: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Mass, momentum (x, y), angular momentum and energy of particles with m first and m v last, (n, 5)."""
+    """Mass, momentum (x, y), angular momentum and energy of each particle, (n, 5). values: m first, m v last."""
     mass, (x, y), (p_x, p_y) = values[:, 0], places.T, values[:, -2:].T
     return np.column_stack([mass, p_x, p_y, x * p_y - y * p_x, (p_x**2 + p_y**2) / (2 * mass)])
 
@@ -481,7 +482,7 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
         states = solved_states(scene, steps=max(steps) + 1, contacts_only=False)
         return {"snapshots": [plotting.state_data(states[step]) for step in steps]}
 
-    def end(values):  # so that one impact does not make all else alike
+    def end(values):  # so that one impact does not make all others alike
         positive = [value for of_state in values for value in of_state if value > 0]
         return float(np.percentile(positive, SHOWN)) if positive else 0.0
 

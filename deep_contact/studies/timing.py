@@ -23,11 +23,12 @@ def interleaved(
     clock: Callable[[], float] = time.perf_counter,
     setup: Mapping | None = None,
 ) -> dict:
-    """Time of several callables, name -> `reduce` of a list of `repeats` times, after a warm-up run of each.
+    """Times of several callables: name -> `reduce` of a list of `repeats` times, s, after a warm-up run of each.
 
     runs: name -> callable without arguments; they take turns in this order. setup: name -> callable that is called
-    before each run of that name and is not timed. Nor is the release of what a run returns, which `timeit` would count.
-    The garbage collector waits until all runs are done. clock: `time.thread_time` counts only what this thread works.
+    before each run of that name and is not timed. The release of a run's result, which `timeit` would count, is not
+    timed either. The garbage collector waits until all runs are done. clock: such as `time.thread_time`, which counts
+    only the work of this thread.
     """
     times, setup, was_enabled = {name: [] for name in runs}, setup or {}, gc.isenabled()
     gc.disable()
@@ -62,10 +63,11 @@ print(json.dumps({"seconds": took, "heavy": heavy, "memory_mb": memory}))
 
 
 def fresh(code: str) -> dict:
-    """What Python code takes in a process of its own.
+    """Time, packages and memory of Python code in a process of its own.
 
     Returns {"seconds": without the interpreter's start, "heavy": packages that it loads, "memory_mb": largest resident
-    memory, with the interpreter's, or None where it is unknown}. (What `getrusage` says is no less than its parent's.)
+    memory, with the interpreter's, or None where it is unknown}. (`getrusage` returns at least the memory of the parent
+    process.)
     """
     done = subprocess.run([sys.executable, "-c", _PROBE, code], stdout=subprocess.PIPE, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])

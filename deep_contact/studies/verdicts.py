@@ -1,9 +1,9 @@
 """Verdicts on claims about starts, by the thesis's own measure: the mean θ after each sweep (Eq 2.30).
 
 A claim says that one start's θ over another's lies within a range. It is judged by the ratio at all stored numbers of
-sweeps and its band over scenes (`band`): with 95 % the whole curve lies within the band, so that many sweeps may be
-looked at. The resamplings draw the same scenes for both starts, so that what is common to both cancels. A verdict rests
-on a stretch of sweeps that takes at least `LEAST` of the logarithmic axis (`ranges`).
+sweeps and its band over scenes (`band`). With 95 % probability the whole curve lies within the band, so that all
+sweeps may be judged at once. The resamplings draw the same scenes for both starts, so that what is common to both
+cancels. A verdict rests on a stretch of sweeps that takes at least `LEAST` of the logarithmic axis (`ranges`).
 """
 
 from __future__ import annotations
@@ -16,36 +16,36 @@ from deep_contact.reporting.figures import Claim
 from deep_contact.run_errors import interval
 
 FEWEST = 10
-"""Scenes from which on a claim is judged."""
+"""Least number of scenes with which a claim is judged."""
 
 SMALLEST = 1e-15
 """θ below which a solve has come to rest, N·s: the rounding of impulses of some N·s in float64."""
 
 LEAST = 0.1
-"""Part of the logarithmic axis of sweeps from which on a stretch of sweeps is judged."""
+"""Shortest stretch of sweeps that is judged, as a share of the logarithmic axis of sweeps."""
 
 SHOWN = (1, 10, 100, 1000)
 """Numbers of sweeps after which `measured` shows a ratio."""
 
 FASTER = (0.0, 1.0)
-"""Range of θ over θ of a start that is faster than another."""
+"""Range of the ratio of θ for a start that is faster than another."""
 
 MUCH_FASTER = (0.0, 0.5)
-"""Of one that leaves at most half."""
+"""Range of the ratio for a start that leaves at most half of the other's θ."""
 
 SLOWER = (1.0, np.inf)
-"""Of one that is slower."""
+"""Range of the ratio for a start that is slower."""
 
 ALIKE = (0.8, 1.25)
-"""Of one that is alike within a quarter."""
+"""Range of the ratio for a start whose θ equals the other's within a quarter."""
 
 NAMED = {FASTER: "below 1", MUCH_FASTER: "below 0.5", SLOWER: "above 1", ALIKE: "0.8 to 1.25"}
 
 RATIO = "ratio and its interval"
-"""What decides a claim on one number, in `measured`: [ratio, low, high]."""
+"""Entry of `measured` that decides a claim on one number: [ratio, low, high]."""
 
 BY_SWEEP = "θ ratio and its band, by sweep"
-"""What decides a claim on curves: number of sweeps -> [ratio, low, high]."""
+"""Entry of `measured` that decides a claim on curves: number of sweeps -> [ratio, low, high]."""
 
 Names = str | Sequence[str]
 
@@ -58,13 +58,13 @@ def scenes_of(part: Mapping) -> int:
 def intervals(part: Mapping, first: Names, second: Names, *, of: Callable | None = None) -> np.ndarray:
     """[ratio, low, high], (3, k), by `band`: largest mean θ of the first starts over smallest of the second.
 
-    part: one mode of `starts.compare_starts`' data. of: taken of each curve before the ratio, (rows, k) -> (rows,),
-    such as `rise`; the result is then (3, 1), by `interval`.
+    part: one mode of `starts.compare_starts`' data. of: function that takes one number from each curve before the
+    ratio, (rows, k) -> (rows,), such as `rise`; the result is then (3, 1), by `interval`.
     """
     count = scenes_of(part)
 
     def means(names, drawn):
-        """Of each start over the states of the scenes drawn, (rows, scenes): (starts, rows, k)."""
+        """Mean θ of each start over the states of the scenes drawn, (starts, rows, k). drawn: (rows, scenes)."""
         times, curves = (drawn[:, :, None] == np.arange(count)).sum(axis=1), []
         for scenes in (part[name]["scenes"] for name in ([names] if isinstance(names, str) else names)):
             weights = times * np.asarray(scenes["states"])
@@ -77,11 +77,11 @@ def intervals(part: Mapping, first: Names, second: Names, *, of: Callable | None
 
 
 def band(ratios: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: int = 2000) -> np.ndarray:
-    """[ratios, low, high], (3, k): positive numbers of scenes, and the band within which all k lie with 95 %.
+    """[ratios, low, high], (3, k): k positive ratios, and the band within which all of them lie with 95 %.
 
-    ratios: of the scenes that are drawn, (rows, count), one row a resampling -> (rows, k). count: of scenes; one has no
-    band. The bootstrap deviations of the logarithms are divided by their standard deviation at each k, and the largest
-    over all k counts (the single-step max-t of Westfall and Young 1993).
+    ratios: function from the scenes drawn, (rows, count), one row for each resampling, to (rows, k). count: number of
+    scenes; a single scene has no band. The bootstrap deviations of the logarithms are divided by their standard
+    deviation at each k, and the largest over all k counts (the single-step max-t of Westfall and Young 1993).
     """
     middle = np.log(ratios(np.arange(count)[None])[0])
     if count == 1:
@@ -94,7 +94,7 @@ def band(ratios: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: i
 
 
 def ranges(sweeps: Sequence[int], where: np.ndarray) -> str:
-    """The stretches of sweeps at which something is so, "1 to 180, 240 to 3000"; "" for none.
+    """The stretches of `sweeps` in which `where` is true, "1 to 180, 240 to 3000"; "" for none.
 
     Left out are stretches shorter than `LEAST` of the logarithmic axis from the first to the last of all sweeps.
     """
@@ -107,9 +107,10 @@ def ranges(sweeps: Sequence[int], where: np.ndarray) -> str:
 def verdict(ratios: np.ndarray, within: tuple[float, float], sweeps: Sequence[int] | None = None) -> tuple:
     """(holds, verdict) of a band by sweep: "holds, sweeps 1 to 180; does not hold, sweeps 250 to 3000".
 
-    It holds where the whole band lies within the range, and does not hold where the whole of it lies outside; `ranges`
-    of such sweeps count. holds: true where the claim holds in some and is refuted in none, false where it is the other
-    way round, None where both occur or neither. sweeps: None for the interval of one number.
+    A claim holds at the sweeps at which the whole band lies within the range `within`, and does not hold where the
+    whole band lies outside; `ranges` of such sweeps count. holds: True where the claim holds in some range and fails in
+    none, False where it fails in some and holds in none, else None. ratios: the band, or the interval of one number.
+    sweeps: those of the band; None for the interval of one number.
     """
     (_, low, high), (least, most) = ratios, within
     where = {"holds": (low > least) & (high < most), "does not hold": (high < least) | (low > most)}
@@ -133,9 +134,10 @@ def judged(
 ) -> Claim:
     """The claim that θ of the first start over that of the second lies within a range, by sweep.
 
-    data: of `starts.compare_starts`. Of several first starts the largest θ counts, of several second ones the
-    smallest. of: see `intervals`; the claim is then on one number. mode: whose curves decide, by default runs of their
-    own, as in the thesis; `measured` has the verdict from the same states too, where there is one.
+    data: result of `starts.compare_starts`. first, second: names of starts; of several first starts the largest θ
+    counts, of several second ones the smallest. of: see `intervals`; the claim is then on one number. mode: the mode
+    whose curves decide, by default independent runs, as in the thesis; `measured` also has the verdict of the other
+    mode, if the data have it.
     """
     ratios, count = intervals(data[mode], first, second, of=of), scenes_of(data[mode])
     if of is not None:
@@ -157,9 +159,9 @@ def judged_values(
     within: tuple[float, float] = FASTER,
     also: Mapping | None = None,
 ) -> Claim:
-    """The claim that the mean of a number over scenes, over that of another, lies within a range.
+    """The claim that the ratio of two means over scenes lies within a range.
 
-    first, second: a number a scene, >= 0, (scenes,) each. also: more for `measured`.
+    first, second: one number >= 0 for each scene, (scenes,). also: further entries of `measured`.
     """
     first, second = (np.asarray(values, dtype=float) for values in (first, second))
 
@@ -172,7 +174,7 @@ def judged_values(
 
 
 def _claim(text: str, thesis: str | None, count: int, within: tuple, measured: dict, judged: tuple) -> Claim:
-    """The claim with what `verdict` says; open from fewer than `FEWEST` scenes."""
+    """The claim with the result `judged` of `verdict`; open with fewer than `FEWEST` scenes."""
     holds, says = judged if count >= FEWEST else (None, f"open: {count} scene{'s' * (count > 1)}")
     low, high = within
     measured = {"scenes": count, **measured, "range": NAMED.get(within) or f"{low:g} to {high:g}"}
@@ -180,7 +182,7 @@ def _claim(text: str, thesis: str | None, count: int, within: tuple, measured: d
 
 
 def rise(theta: np.ndarray) -> np.ndarray:
-    """All rises of curves of θ by sweep, (rows, k) -> (rows,), decades: what makes a start unstable. At least 1e-6."""
+    """Sum of all rises of curves of θ by sweep, (rows, k) -> (rows,), decades, at least 1e-6: a start's instability."""
     return np.maximum(np.maximum(np.diff(np.log10(theta), axis=1), 0).sum(axis=1), 1e-6)
 
 

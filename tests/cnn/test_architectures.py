@@ -1,4 +1,4 @@
-"""The networks, their loss and schedules: sections 5.3.1 to 5.3.3, Appendix B; Tables 5.1, 5.2: `test_chapter_5`."""
+"""The networks, their loss and schedules: sections 5.3.1 to 5.3.3, Appendix B. `test_chapter_5` has Tables 5.1, 5.2."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The far-field network in Numba against the same in Keras, and its splat against `sph.splat`."""
+"""The far-field network in Numba against the same network in Keras, and its splat against `sph.splat`."""
 
 import numpy as np
 import pytest

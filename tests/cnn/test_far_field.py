@@ -1,4 +1,4 @@
-"""The far-field network's description of a state, its symmetries and scaling, and the start it gives."""
+"""The far-field network's description of a state, its symmetries and scaling, and its start."""
 
 import numpy as np
 import pytest

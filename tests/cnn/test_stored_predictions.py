@@ -1,6 +1,7 @@
 """Predictions of the shipped networks against numbers on file, whatever the versions of Keras and TensorFlow.
 
-`bash tests/tools/check_keras_range.sh` runs this with the oldest and with the newest versions that setup.cfg allows.
+`bash tests/tools/check_keras_range.sh` runs these tests with the oldest and with the newest versions that setup.cfg
+allows.
 """
 
 import json

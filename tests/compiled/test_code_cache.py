@@ -1,5 +1,5 @@
-"""The cache of compiled code does not outlive a change of any source that was compiled into it, nor does damage go
-unnoticed; it travels; Numba is as it was for everybody else; and compiling is announced."""
+"""The cache of compiled code: it notices damage, and a change of any source that was compiled into it; it can be moved
+to another machine; other code in the process keeps Numba's own cache; and compiling is announced."""
 
 import importlib
 import pickle

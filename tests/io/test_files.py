@@ -1,4 +1,4 @@
-"""Files are written in one move, where they were meant, by whoever writes at the same time."""
+"""Files are written in one move, to the path that was meant, also by several writers at once."""
 
 import errno
 import gzip

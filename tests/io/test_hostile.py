@@ -1,6 +1,6 @@
 """Files made to harm: each is refused by an error that names the file, in bounded memory, and the process lives on.
 
-Those of text are in `test_state_xml`.
+Hostile text files are in `test_state_xml`.
 """
 
 import os

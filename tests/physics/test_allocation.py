@@ -1,6 +1,6 @@
-"""Memory inside a run: rooms are made before the first step, and no step after it takes more.
+"""Memory inside a run: workspaces are allocated before the first step, and no later step allocates more.
 
-Numba's runtime counts what compiled code allocates. A run allocates its rooms and its results, however long it is.
+Numba's runtime counts what compiled code allocates. A run of any length allocates its workspaces and its results.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""What moves far in one step: it pushes on the first thing in its way, and nothing gets out."""
+"""Circles that move far in one step: each pushes the first body in its way, and none gets out of the box."""
 
 from dataclasses import replace
 

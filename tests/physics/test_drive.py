@@ -1,4 +1,4 @@
-"""What moves from outside: segments with velocities, fixed circles, pushes. All fast tests share one compiled kind."""
+"""Kinematics and external forces: moving segments, fixed circles, pushes. All fast tests share one compiled kind."""
 
 import math
 import warnings

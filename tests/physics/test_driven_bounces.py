@@ -1,4 +1,7 @@
-"""Bounces on what moves, is fixed or pushes, at e > 0 and in steps of every division. All share one compiled kind."""
+"""Bounces on moving segments and fixed circles, and under pushes, at e > 0 and in every division of a step.
+
+All tests share one compiled kind of step.
+"""
 
 import math
 from dataclasses import replace

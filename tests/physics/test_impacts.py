@@ -1,4 +1,4 @@
-"""Impacts: what a rebound does by hand, and that no setting makes or loses energy in many of them."""
+"""Impacts: a rebound by hand, and many impacts in which no setting makes or loses energy."""
 
 import math
 from itertools import product

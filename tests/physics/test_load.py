@@ -1,4 +1,4 @@
-"""A load that changes: what was solved for another one must not become velocity."""
+"""A load that changes: impulses that were solved for another load must not become velocity."""
 
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""Substeps by motion: what the choice is, that it changes nothing else, and what it is for."""
+"""Substeps by motion: how many are chosen, that the choice changes nothing else, and what depth it prevents."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Properties of whole steps over random scenes (hypothesis): what holds whatever is put in within `LIMITS`."""
+"""Properties of whole steps over random scenes (hypothesis): what holds for every input within `LIMITS`."""
 
 import numpy as np
 import pytest

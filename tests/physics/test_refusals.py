@@ -1,4 +1,4 @@
-"""What is refused: every message names the argument, what was expected and what came."""
+"""Refusals: every message names the argument, what was expected and what came."""
 
 import math
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Substeps: a step that is divided is as many short steps, and leaves the same state."""
+"""Substeps: a divided step is that number of short steps, and leaves the same state."""
 
 from dataclasses import replace
 

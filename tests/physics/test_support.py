@@ -1,4 +1,4 @@
-"""Impulses of a pile from its positions: what lies on what, and how a run begins that has no past."""
+"""Impulses of a pile from its positions: which circle lies on which, and how a run without a past begins."""
 
 import numpy as np
 import pytest

@@ -1,8 +1,8 @@
 """The results under data/reference: full runs of the scripts as they are, borne out by quick ones, easy to read.
 
 A run is the same to the last bit on one machine only: on another processor a pile falls otherwise after its first
-impacts, though no higher or faster. So what no simulation enters has to be equal, and the rest to agree within a
-factor that is stated here with its reason.
+impacts, though no higher or faster. So numbers without a simulation have to be equal, and all others have to agree
+within a factor that is stated here with its reason.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Results files, by the contract of the figures: six fields, strict JSON, nothing half-written, checked both ways."""
+"""Results files, by the contract of the figures: six fields, strict JSON, whole, checked when written and read."""
 
 import copy
 import json

@@ -1,4 +1,4 @@
-"""Savings: what is added up, and how far apart two ways lead."""
+"""Savings: the sums behind them, and how far apart circles are at the end of two ways."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""Learned starts: what is compared."""
+"""Learned starts: their errors, and the classical setting with which they are compared."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,5 @@
-"""Particle–grid–particle transfer against brute force, the k-d tree and its invariants (thesis chapter 3), and where
-floats end."""
+"""Particle–grid–particle transfer against brute force, the k-d tree and its invariants (thesis chapter 3), and at the
+limits of floats."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Smoothing kernels (thesis section 3.2.2) against quadrature, finite differences, closed forms; where floats end."""
+"""Smoothing kernels (thesis section 3.2.2) against quadrature, finite differences, closed forms; limits of floats."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The authors' ways back from an image: a spline, and each node sharing out what it has."""
+"""The authors' ways back from an image: a spline, and nodes that share out their values."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The motions whose answers are known: a good setting makes them."""
+"""Motions with known answers: a good setting gets them right."""
 
 import pytest
 

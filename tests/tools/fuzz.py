@@ -2,8 +2,8 @@
 
     python tests/tools/fuzz.py xml|hdf5|api [--inputs 20000] [--seed 0] [--out FILE]
 
-* xml: Atheris (libFuzzer) damages state files of all dialects, guided by coverage. What still reads is written and read
-  again, and has to come back the same bytes.
+* xml: Atheris (libFuzzer) damages state files of all dialects, guided by coverage. A state that is still read is
+  written and read again, and has to give the same bytes.
 * hdf5: bytes of simulations change, or are cut off, doubled and exchanged; in one file in three a part is of another
   shape, type, size or link, with a digest that fits.
 * api: functions of the public interface get arrays and numbers of the wrong type, shape, sign, order or size.
@@ -77,7 +77,7 @@ def damage(data: bytes, size: int, seed: int) -> bytes:
 
 
 def fuzz_xml(inputs: int, seed: int, folder: Path, report) -> None:
-    """Try the inputs. libFuzzer does not return, so the last one ends the process."""
+    """Try the inputs. libFuzzer does not return, so the last input ends the process."""
     outcomes = Counter(slowest_s=0.0)
     for number, data in enumerate(seed_files()):
         (folder / str(number)).write_bytes(data)
@@ -105,16 +105,16 @@ def fuzz_xml(inputs: int, seed: int, folder: Path, report) -> None:
 
 
 def fuzz_calls(inputs: int, seed: int, make, errors: tuple, kept: Path) -> Counter:
-    """Try so many calls of `make(rng)`, a text and a function without arguments.
+    """Try `inputs` calls. make(rng) returns a call as a text and as a function without arguments.
 
-    Each has to return or raise one of the errors, with a message of at most 2000 characters. The text is in `kept`
-    until all have.
+    Each function has to return, or to raise one of the errors with a message of at most 2000 characters. The file
+    `kept` has the text of the present call, and is removed after the last one.
     """
     outcomes = Counter(read=0, refused=0, slowest_s=0.0)
     for number in range(inputs):
         what, call = make(np.random.default_rng((seed, number)))
         kept.write_text(f"input {number} of seed {seed}: {what}")
-        # Of processor time, since others may have the machine; an input that waits for ever ends, too.
+        # A limit of processor time, since other programs may run; and an alarm for an input that waits for ever.
         signal.setitimer(signal.ITIMER_PROF, 60)
         signal.alarm(1800)
         begin = time.process_time()
@@ -156,7 +156,7 @@ def damaged(data: bytes, rng) -> bytes:
 
 
 def one_of(rng, values):
-    """One of the values, of any kind."""
+    """One of the values, drawn at random."""
     return list(values)[rng.integers(0, len(values))]
 
 
@@ -193,7 +193,7 @@ def small_state():
 
 
 def damaged_state(rng, whole):
-    """What is wrong with a state, one field of one or two of its parts; and a function that makes it."""
+    """The fault of a state, one field of one or two of its parts, as a text; and a function that makes the state."""
     changes = []
     for part in rng.choice(["bodies", "contacts", "world", "state"], size=rng.integers(1, 3), replace=False):
         owner = whole if part == "state" else getattr(whole, part)
@@ -212,7 +212,7 @@ def damaged_state(rng, whole):
 
 
 def api_call(whole):
-    """rng -> a call of the public interface with hostile arguments, and its text."""
+    """A function of rng that returns a call of the public interface with hostile arguments: its text, and itself."""
     solvers = (PGS(sweeps=3), PGS(sweeps=3, islands=True), METHODS["NNCG"](sweeps=3))
     options = (
         (PGS, "sweeps"), (METHODS["PSOR"], "omega"), (METHODS["BatchedPGS"], "sweeps"), (PGS, "tolerance"),
@@ -256,7 +256,7 @@ def api_call(whole):
 
 
 def hdf5_call(path: Path):
-    """rng -> a read of a damaged simulation, and its text."""
+    """A function of rng that returns a read of a damaged simulation: its text, and itself."""
     state = small_state()
     packed = simulation_h5.pack_simulation([state.replace(step=step) for step in (4, 5)])
     whole = [simulation_h5.simulation_file(packed, compression=how) for how in (None, "gzip")]
@@ -308,7 +308,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="results file, in which the target's entry is replaced")
     target, inputs, seed, out = vars(parser.parse_args()).values()
     begin = time.perf_counter()
-    if child := os.fork():  # whose peak of memory is its own, and not that of who started this process
+    if child := os.fork():  # so that the peak of memory is that of the child alone
         sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 
     def report(outcomes: Counter) -> None:

@@ -50,7 +50,10 @@ TOLERANCE, OF_NETWORKS = 1e-9, 1e-4
 
 
 def simulated(state, lengths=(40,), between=lambda state: state, many=False, **options):
-    """A run, in one go or in parts; between: what becomes of the state after each. many: beside an equal one."""
+    """A run, in one call or in parts.
+
+    lengths: steps of each part. between: changes the state after each part. many: whether an equal run goes beside it.
+    """
     runs = []
     for steps in lengths:
         options["steps"] = steps
@@ -65,7 +68,7 @@ def simulated(state, lengths=(40,), between=lambda state: state, many=False, **o
 
 
 def watched(state, solver):
-    """What every step or substep solved."""
+    """The contacts and θ of every step or substep."""
     seen = []
 
     def keep(state, record):
@@ -81,7 +84,7 @@ def solved(state, solver):
 
 
 def solved_exactly(state, of=lambda state: state):
-    """From zero, so that there are many pivots."""
+    """The exact solution from zero impulses, so that there are many pivots. of: changes the state first."""
     none = np.zeros(state.contacts.count)
     solution = dc.solve_exactly(of(state), none, none).solution
     return "solve_exactly", dict(zip(solution._fields, solution[:4]))
@@ -97,7 +100,7 @@ def swept_by_matrices(state, solver):
 
 
 def started(state, start):
-    """Where the solver starts, and a run from there."""
+    """The impulses of a start, and a run with it."""
     name, arrays = simulated(state, lengths=(20,), solver=SOLVERS["PGS"], warm_start=start)
     normal, tangent = STARTS[start]()(state, SOLVERS["PGS"])
     return name, arrays | {"normal": normal, "tangent": tangent}
@@ -173,7 +176,7 @@ OTHERS = {
 
 
 class Run(NamedTuple):
-    """A scene and what is done with it. same_as: a run that gives the same bits."""
+    """A scene, and the function that computes with it. same_as: a run that gives the same bits."""
 
     scene: str
     way: Callable
@@ -181,7 +184,7 @@ class Run(NamedTuple):
     same_as: str = ""
 
     def result(self, change=lambda scene: scene):
-        """(The solver in words, name -> array). change: of the scene."""
+        """(The solver in words, name -> array). change: changes the scene first."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PresetWarning)
             return self.way(change(SCENES[self.scene]()))
@@ -243,7 +246,7 @@ RUNS = dict(runs())
 
 
 def machine():
-    """What bits depend on: the processor as Numba compiles for it, and versions."""
+    """The properties on which bits depend: the processor as Numba compiles for it, and versions."""
     _, processor, features = cpu_target.target_context.codegen().magic_tuple()
     processor = "Python's" if config.DISABLE_JIT else processor  # where the compiler may fuse, Python rounds twice
     versions = {package.__name__: package.__version__ for package in (numba, llvmlite, np, scipy)}
@@ -256,7 +259,7 @@ def digest(arrays):
 
 
 def deviation(arrays, stored):
-    """The largest difference from the stored values, as a share of the largest value of its array, and of which.
+    """The largest difference from the stored values, as a share of the largest value of its array; the array's name.
 
     θ is a difference of impulses, so its differences are shares of these.
     """
@@ -283,7 +286,7 @@ def stored():
 
 
 def difference(name, change=lambda scene: scene):
-    """How a run differs from the file, in words; "" where it does not. change: of its scene."""
+    """How a run differs from the file, in words; "" where it does not. change: changes its scene first."""
     run, (record, numbers) = RUNS[name], stored()
     solver, arrays = run.result(change)
     entry = record["runs"][name]
@@ -326,7 +329,7 @@ def moved(scene, share=1e-15, seed=0):
 
 
 def sensitivity(name):
-    """The largest deviation of a run from others with moved positions, and of which quantity."""
+    """The largest deviation of a run from runs with moved positions, and its quantity."""
     _, arrays = RUNS[name].result()
     return max(deviation(RUNS[name].result(partial(moved, seed=seed))[1], arrays) for seed in range(3))
 

@@ -5,11 +5,11 @@
 
 Cosmic Ray makes the mutants. The sample takes from every file by its share of places, and one fault in each place.
 Every mutant is tried in a copy of the package, by the tests of its folder and the golden runs, or by the tests that are
-named with its file, or with a pattern of files. Running out of time kills it, too. With the hash of a commit as seed,
-nobody has chosen the mutants.
+named with its file, or with a pattern of files. A mutant whose tests run out of time counts as killed. With the hash of
+a commit as seed, nobody has chosen the mutants.
 
-The record is written after every mutant. Another run keeps what was killed there, and the survivors under `explained`
-of which somebody has written why they cannot be told from the original; it tries the others.
+The record is written after every mutant. Another run keeps the mutants that were killed, and the survivors whose entry
+`explained` says why they cannot be told from the original. It tries all others.
 """
 
 import argparse

@@ -19,6 +19,6 @@ if TYPE_CHECKING:
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)
 
-# Of TensorFlow's convolutions those of oneDNN train the thesis's network in 0.7 of the time on a processor without
-# AVX-512, where they are not the default. A single state is predicted sooner by the others.
+# oneDNN's convolutions train the thesis's network in 0.7 of the time on a processor without AVX-512, where they are not
+# TensorFlow's default. Its default predicts a single state sooner.
 os.environ.setdefault("TF_ENABLE_ONEDNN_OPTS", "1")

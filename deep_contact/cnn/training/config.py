@@ -22,17 +22,17 @@ class TrainingConfig:
     """
 
     architecture: str = "far field"
-    options: dict = field(default_factory=dict)  # of `architectures.build`
+    options: dict = field(default_factory=dict)  # arguments of the network, for `architectures.build`
     spacing: float = 1.0  # of the images, m, or mean radii for the far-field network
-    support: float = 1.0  # the same
-    sweeps: tuple[int, ...] = (3, 10, 30)  # increasing
-    optimizer: str = "adam"  # its gradients have norm 1 at most; "sgd", or "nesterov": sgd with momentum 0.9
-    schedule: str = "cosine"  # of `schedules.SCHEDULES`
+    support: float = 1.0  # h of the splat, in the unit of the spacing
+    sweeps: tuple[int, ...] = (3, 10, 30)  # numbers of sweeps after which errors count, increasing
+    optimizer: str = "adam"  # with gradients of norm <= 1; or "sgd"; or "nesterov": sgd with momentum 0.9
+    schedule: str = "cosine"  # one of `schedules.SCHEDULES`
     rate: float = 1.5e-3
     epochs: int = 30
     batch_size: int = 32
-    states_per_epoch: int | None = None  # drawn for an epoch; None: all
-    validation_states: int = 1000  # about so many
+    states_per_epoch: int | None = None  # number drawn for an epoch; None: all
+    validation_states: int = 1000  # about this number
     fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)  # of the simulations: train, validation, test
     precision: str = "float32"  # or "mixed_bfloat16", of the layers of a network on images; its weights are float32
     seed: int = 0
@@ -91,7 +91,7 @@ def recipe(name: str, **changes) -> TrainingConfig:
 def config_of(metadata: dict, **changes) -> TrainingConfig:
     """The settings of the run that made a model file, with changes. metadata: of `model_file.read_metadata`.
 
-    Raises ValueError where the file does not hold them.
+    Raises ValueError where the file holds no settings.
     """
     stored = metadata["card"].get("config")
     if not isinstance(stored, dict):

@@ -15,9 +15,10 @@ def read_history(path) -> list[dict]:
 
 
 def learning_curve(history: list[dict], path) -> Path:
-    """Draw the losses against the epoch, with the best one marked, into a PNG. Returns its path.
+    """Draw the losses against the epoch into a PNG, with the best validation loss marked. Returns its path.
 
-    Of a network on images also the penalty of its weights, and what its starts are worth on held-out states.
+    For a network on images the picture also has the penalty of the weights, and the errors of its starts on held-out
+    states.
     """
     of_images = "penalty" in history[0]
     columns = {name: [line[name] for line in history] for name in history[0]}

@@ -30,22 +30,22 @@ class FarFieldRun(NetworkRun):
         images = tf.TensorSpec((None, None, None, len(self.spec.channels)), tf.float32)
         nodes = [tf.TensorSpec((None, 4), kind) for kind in (tf.int32, tf.float32)]
         self._coefficients = tf.function(self._read, input_signature=[images, *nodes])
-        # As one program: called one by one, the optimizer's small operations take as long as the network.
+        # As one program: one by one, the optimizer's small operations take as long as the network.
         self._apply = tf.function(lambda gradients: self.optimizer.apply(gradients, self.model.trainable_variables))
 
     def _read(self, images, node, weight):
-        """Coefficients (K, 12) at the contacts, from images and the arrays of `nodes_of`; differentiable."""
+        """Coefficients (K, 12) at K contacts, from images and the arrays of `nodes_of`; differentiable."""
         nodes = tf.reshape(self.model(images, training=True), (-1, len(self.spec.targets)))
         return tf.reduce_sum(tf.gather(nodes, node) * weight[:, :, None], axis=1)
 
     def examples(self, states: np.ndarray, symmetry: np.ndarray):
-        """(description, problem) of each of the states (k, 2), one after the other."""
+        """Yields (description, problem) of each of the states (k, 2)."""
         for place, k in zip(states.tolist(), symmetry.tolist()):
             state = self.store.state(*place)
             yield describe(state, self.spec, k), solved_problem(state)
 
     def coefficients(self, descriptions):
-        """What the network gives at the contacts of descriptions with windows of one shape, (K, 12)."""
+        """The network's coefficients at the contacts of descriptions with windows of one shape, (K, 12)."""
         shape = descriptions[0].image.shape[:2]
         out = tuple((n - 1) // COARSENING + 1 for n in shape)
         read = [nodes_of(description, out) for description in descriptions]
@@ -54,13 +54,13 @@ class FarFieldRun(NetworkRun):
         return self._coefficients(images, node, np.concatenate([weight for _, weight in read]))
 
     def batches(self, epoch: int):
-        """Lists of examples of an epoch with windows of one shape."""
+        """Yields the examples of an epoch in lists, each with windows of one shape."""
         rng = np.random.default_rng((self.config.seed, epoch))
         states = self.states[rng.permutation(len(self.states))[: self.per_epoch]]
         return _by_shape(self.examples(states, rng.integers(0, 8, self.per_epoch)), self.config.batch_size)
 
     def step(self, batch) -> tuple[float, int]:
-        """One step by examples with windows of one shape. Returns the sum of their losses, and their number."""
+        """One optimizer step on examples with windows of one shape. Returns the sum and the number of their losses."""
         descriptions, problems = zip(*batch)
         with tf.GradientTape() as tape:
             coefficients = self.coefficients(descriptions)
@@ -69,13 +69,13 @@ class FarFieldRun(NetworkRun):
             loss, gradient, _ = loss_and_gradient(problem, start, self.config.sweeps, self.weights)
             by_coefficient.append(np.einsum("ik,ijk->ij", gradient, description.features))
             total += loss
-        # Divided by a full batch, so that a few states with a rare window do not count as much as a batch.
+        # Divided by the size of a full batch: a few states with a rare window do not weigh as much as a batch.
         gradients = tf.constant(np.concatenate(by_coefficient) / self.config.batch_size, tf.float32)
         self._apply(tape.gradient(coefficients, self.model.trainable_variables, output_gradients=gradients))
         return total, len(batch)
 
     def errors(self, states: np.ndarray, *, learned: bool) -> np.ndarray:
-        """Velocity errors (k, 1 + sweeps) before and after each number of sweeps, from the network or Builtin."""
+        """Velocity errors before any sweep and after each of `sweeps`, (k, 1 + sweeps), of the network or Builtin."""
         sweeps = sorted({0, *self.config.sweeps})
         errors = []
         for batch in _by_shape(self.examples(states, np.zeros(len(states), np.int64)), 64):
@@ -108,7 +108,7 @@ def _starts(descriptions, coefficients) -> list[np.ndarray]:
 
 
 def _by_shape(examples, size: int):
-    """Lists of up to `size` examples with windows of one shape, full ones first."""
+    """Yields lists of up to `size` examples with windows of one shape, full lists first."""
     waiting: dict[tuple, list] = {}
     for example in examples:
         batch = waiting.setdefault(example[0].image.shape, [])

@@ -36,8 +36,8 @@ def optimizer_of(config: TrainingConfig) -> keras.optimizers.Optimizer:
 class NetworkRun:
     """A network in training. Subclasses have `batches`, `step` and `validate`.
 
-    states, validation: those to learn from and to judge by, (k, 2), as `Store.states`. box: the world's box of a
-    network of one size, or None. history: a dict an epoch that is done, by column.
+    states, validation: states to learn from and to judge by, (k, 2), as of `Store.states`. box: the world's box for a
+    network of fixed size, or None. history: a dict for each finished epoch, by column.
     """
 
     box = None
@@ -51,17 +51,17 @@ class NetworkRun:
         self.model.optimizer = self.optimizer  # where Keras's callbacks look for it
         kinds = {"model": self.model.variables, "optimizer": self.optimizer.variables}
         self.variables = {f"{kind}_{i:04d}": v for kind, of_kind in kinds.items() for i, v in enumerate(of_kind)}
-        """All that a step changes: weights, statistics, the random states of dropout, the optimizer's."""
+        """All that a step changes: weights, statistics, random states of dropout, variables of the optimizer."""
         self.history = []
 
     def batches_per_epoch(self) -> int:
-        """Number of full batches of an epoch. Raises ValueError where there are fewer states than one batch has."""
+        """Number of full batches of an epoch. Raises ValueError where the run has fewer states than a batch."""
         states, size = len(self.states), self.config.batch_size
         expect(states >= size, f"batch_size: expected at most the {states} states to train on, got {size}")
         return max(1, min(states, self.config.states_per_epoch or states) // size)
 
     def resume(self, out: Path, about: dict) -> None:
-        """Go on from the run in the folder `out`, if there is one. about: what the card says of the run.
+        """Go on from the run in the folder `out`, if there is one. about: fields of the card on the run.
 
         Raises ValueError if that run was started with other settings.
         """
@@ -84,8 +84,8 @@ class NetworkRun:
     def fit(self, callbacks: list, *, verbose: int) -> None:
         """Train until all epochs are done or a callback ends it, and write the folder after each.
 
-        Not `keras.Model.fit`, which takes no gradient that comes from elsewhere. Keras's `BackupAndRestore` loses the
-        optimizer's state and the random states of dropout.
+        This is not `keras.Model.fit`, which takes no gradient from outside. Nor is it Keras's `BackupAndRestore`, which
+        loses the optimizer's state and the random states of dropout.
         """
         options = {"epochs": self.config.epochs, "steps": None, "verbose": verbose}
         called = keras.callbacks.CallbackList(callbacks, add_progbar=bool(verbose), model=self.model, **options)
@@ -110,11 +110,11 @@ class NetworkRun:
         called.on_train_end()
 
     def _end_epoch(self, epoch: int, measured: dict, seconds: float) -> None:
-        """Go to the next epoch, and write all files of the folder."""
+        """Add an epoch to the history, and write all files of the folder."""
         rate = float(f"{float(self.optimizer.learning_rate):.7g}")
         best = min((line["validation_loss"] for line in self.history), default=math.inf)
         self.history.append({"epoch": epoch, "rate": rate} | measured | {"seconds": round(seconds, 2)})
-        # The best one first: killed between the two, the epoch is repeated with the same result.
+        # best.h5 first: a run that is killed before last.npz repeats the epoch with the same result.
         if measured["validation_loss"] < best:
             save_model(self.out / "best.h5", self.model, self.spec, self.card(), box=self.box)
         self.save()
@@ -131,7 +131,7 @@ class NetworkRun:
             np.savez(file, state=np.frombuffer(json.dumps(state).encode(), np.uint8), **arrays)
 
     def card(self) -> dict:
-        """The card of a model file: of the network, and of the run so far."""
+        """The card of a model file: on the network, and on the run so far."""
         return {
             "architecture": self.config.architecture,
             "options": dict(self.config.options),
@@ -158,7 +158,7 @@ def masked_squared_error(y_true, y_pred):
 
 
 JUDGED = 200
-"""About so many validation states show after each epoch what the network is worth as a start."""
+"""Approximate number of validation states on which the network is judged as a start after each epoch."""
 
 
 class ImageRun(NetworkRun):
@@ -179,7 +179,7 @@ class ImageRun(NetworkRun):
         self.model.compile(self.optimizer, loss=masked_squared_error, metrics=metrics, jit_compile=False)
 
     def _images(self, states: np.ndarray, count: int):
-        """So many batches of the states (k, 2): (inputs (b, n_y, n_x, c), labels (b, n_y · n_x · t)), float32."""
+        """Yields `count` batches of states (k, 2): (inputs (b, n_y, n_x, c), labels (b, n_y · n_x · t)), float32."""
         size = self.config.batch_size
         for k in range(count):
             batch = [self.store.state(*state) for state in states[k * size : (k + 1) * size].tolist()]
@@ -187,18 +187,18 @@ class ImageRun(NetworkRun):
             yield np.stack([input_image(state, self.spec) for state in batch]), np.stack(labels)
 
     def batches(self, epoch: int):
-        """Full batches of images, in the order of the epoch."""
+        """The full batches of images of an epoch, in its order."""
         order = np.random.default_rng((self.config.seed, epoch)).permutation(self.states)
         return self._images(order, self.batches_per_epoch())
 
     def step(self, batch) -> tuple[float, int]:
-        """One step. Returns the sum of the losses, without the penalty of the weights, and the number of states."""
+        """One optimizer step. Returns the sum of the losses without the weights' penalty, and the number of states."""
         self.model.reset_metrics()
         loss = self.model.train_on_batch(*batch, return_dict=True)["masked_squared_error"]
         return float(loss) * len(batch[0]), len(batch[0])
 
     def validate(self) -> dict[str, float]:
-        """The loss on the validation states, the penalty of the weights, and the start on `judged` states."""
+        """The loss on the validation states, the penalty of the weights, the errors of the start on `judged` states."""
         steps = -(-len(self.validation) // self.config.batch_size)
         measured = self.model.evaluate(self._images(self.validation, steps), steps=steps, verbose=0, return_dict=True)
         losses = {"penalty": measured["loss"] - measured["masked_squared_error"]}

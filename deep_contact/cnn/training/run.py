@@ -9,12 +9,12 @@ A run is a folder:
 | history.csv | a line an epoch: number from 0, rate, mean loss, seconds;                                         |
 |             | validation_loss, for the far-field network over that of Builtin's start;                          |
 |             | validation_velocity_error, its mean before any sweep, and _k after k of `TrainingConfig.sweeps`;  |
-|             | of a network on images also penalty, of the weights, and validation_… of `start_quality`          |
-| model.h5    | at the end: the best one with its card                                                            |
+|             | for a network on images also penalty, of the weights, and validation_… of `start_quality`         |
+| model.h5    | at the end: the network of best.h5 with its card                                                  |
 
-Each file is replaced as a whole, and what follows depends only on last.npz, the settings and the data. So a run that is
-killed at any moment and started again gives the history of an undisturbed run, to the last bit on the same machine. The
-epoch in which it was killed begins anew.
+Each file is replaced as a whole, and the next epoch depends only on last.npz, the settings and the data. So a run that
+is killed at any moment and started again gives the history of an undisturbed run, to the last bit on the same machine.
+The epoch in which it was killed begins anew.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from deep_contact.physics.engine import step_problem
 
 
 class Training(NamedTuple):
-    """A finished run: history (a dict an epoch, by column), best epoch, path of model.h5 and the model in it."""
+    """A finished run: history (a dict for each epoch, by column), best epoch, path of model.h5 and the model in it."""
 
     history: list[dict]
     best_epoch: int
@@ -61,13 +61,14 @@ def train(
     verbose: int | str = "auto",
     callbacks: Sequence[keras.callbacks.Callback] = (),
 ) -> Training:
-    """Train until the epochs are done or a callback ends it; an unfinished run in `out` goes on.
+    """Train a network until all epochs are done or a callback ends the run. An unfinished run in `out` goes on.
 
-    data: folder of the simulations. out: of the run. from_model: path of a model file whose network the run starts
-    with; its images have to be those of the settings (`config.config_of` gives them). threads: of TensorFlow
-    (`limit_threads`), or None to leave them as they are. command: for the card. held_out: number of test states for
-    the card. verbose: 0 prints nothing, 1 a progress bar, 2 a line an epoch, "auto" 1 on a terminal and 2 elsewhere;
-    what will be written is announced first. callbacks: of Keras; a run that goes on calls them only from there on.
+    data: folder of the simulations. out: folder of the run. from_model: path of a model file whose network the run
+    starts with; its images have to be those of the settings (`config.config_of` gives them). threads: number of
+    TensorFlow's threads (`limit_threads`), or None to leave it as it is. command: text for the card. held_out: number
+    of test states for the card. verbose: 0 prints nothing, 1 a progress bar, 2 a line for each epoch, "auto" 1 on a
+    terminal and 2 elsewhere; unless it is 0 the files are announced first. callbacks: Keras's; a run that goes on calls
+    them for the epochs that are left.
     Raises ValueError where the run in `out` was started with other settings or data (`epochs` may differ unless the
     rates depend on it); FloatingPointError where the loss is not finite.
     """
@@ -101,7 +102,7 @@ def train(
     best_epoch = min(range(len(run.history)), key=lambda k: run.history[k]["validation_loss"])
     model = load_model(out / "best.h5")
     tested = evenly(store.states(split.test), held_out)
-    # By its problem, as a run does: without one a far-field network warns of states whose contacts are all new.
+    # With the contact problem, as in a run: without it a far-field network warns where all contacts are new.
     starts = BASELINES | {"cnn": lambda state, solver: model.predict(state, problem=step_problem(state))}
     errors = held_out_errors((store.state(*state) for state in tested.tolist()), starts)
     card = run.card() | {"best_epoch": best_epoch, "held_out": errors}
