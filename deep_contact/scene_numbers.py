@@ -89,28 +89,29 @@ def _measured(position, velocity, mass, radius, up):
     n = mass.shape[0]
     if n == 0:
         return 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    densities = mass / radius**2
     fastest = squares = 0.0
-    low = left = math.inf
-    high = right = -math.inf
+    low = left = smallest = lightest = lightest_density = math.inf
+    high = right = largest = heaviest = densest = -math.inf
     for i in range(n):
         x, y = position[i, 0], position[i, 1]
-        height, across = up[0] * x + up[1] * y, up[1] * x - up[0] * y
+        height, across, density = up[0] * x + up[1] * y, up[1] * x - up[0] * y, mass[i] / radius[i] ** 2
         low, high, left, right = min(low, height), max(high, height), min(left, across), max(right, across)
+        smallest, largest = min(smallest, radius[i]), max(largest, radius[i])
+        lightest, heaviest = min(lightest, mass[i]), max(heaviest, mass[i])
+        lightest_density, densest = min(lightest_density, density), max(densest, density)
         fastest = max(fastest, velocity[i, 0] ** 2 + velocity[i, 1] ** 2)
         squares += radius[i] ** 2
-    lightest, densest, lightest_density = mass.min(), densities.max(), densities.min()
     layers, heights, dense = 0.0, 0.0, 0
     if densest > lightest_density and high > low:
         middle, all_heights = math.sqrt(densest * lightest_density), 0.0
         for i in range(n):
             height = up[0] * position[i, 0] + up[1] * position[i, 1]
             all_heights += height
-            if densities[i] > middle:
+            if mass[i] / radius[i] ** 2 > middle:
                 heights += height
                 dense += 1
         layers = (heights / dense - (all_heights - heights) / (n - dense)) / (high - low)
     return (
-        radius.max() / radius.min(), lightest, mass.max() / lightest, densest / lightest_density, layers,
+        largest / smallest, lightest, heaviest / lightest, densest / lightest_density, layers,
         math.sqrt(fastest), squares, high - low, right - left,
     )  # fmt: skip

@@ -23,8 +23,9 @@ ESTIMATE = "it takes half a minute to a minute; `deep-contact warm-up` does it a
 # first step. This package depends on SciPy, and Numba checks again when it compiles a call of BLAS.
 _check, linalg.ensure_blas = linalg.ensure_blas, lambda: None
 try:
-    from numba.core.registry import CPUDispatcher
     from numba.np import arraymath  # noqa: F401
+
+    from deep_contact.compiled.lean import LeanDispatcher, uncollected
 finally:
     linalg.ensure_blas = _check
 
@@ -62,11 +63,17 @@ else:
     _announcement.is_made = True
 
 
-class _Dispatcher(CPUDispatcher):
+class _Dispatcher(LeanDispatcher):
     """A function that is compiled with the changes of Numba that this package needs, and that no other one sees."""
 
+    def make_inner(self, options):
+        inner = super().make_inner(options)
+        if isinstance(self._cache, CodeCache):
+            inner._cache = CodeCache(self.py_func, _announcement.make, of_inner=True)
+        return inner
+
     def compile(self, signature):
-        with global_compiler_lock, safe_results():
+        with global_compiler_lock, safe_results(), uncollected():
             try:
                 return super().compile(signature)
             finally:

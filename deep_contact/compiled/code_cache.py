@@ -47,14 +47,15 @@ _KNOWN = {"builtins", "copyreg", "deep_contact", "numba", "numpy"}
 class CodeCache(caching.NullCache):
     """The compiled versions of a function, in files that `numba.core.caching` reads and writes.
 
-    on_wait: called where another process has been compiling the function for a while.
+    on_wait: called where another process has been compiling the function for a while. of_inner: whether the versions
+    are those of `LeanDispatcher.inner`, which are entries of their own: Python cannot call them.
     """
 
-    def __init__(self, function, on_wait: Callable):
+    def __init__(self, function, on_wait: Callable, of_inner: bool = False):
         file = inspect.getfile(function)
         name = f"{Path(file).stem}.{function.__qualname__}-{function.__code__.co_firstlineno}".translate(_BRACKETS)
         name += f".py{sys.version_info[0]}{sys.version_info[1]}{getattr(sys, 'abiflags', '')}"
-        self._py_func, self._files = function, []
+        self._py_func, self._files, self._mark = function, [], ("inner",) if of_inner else ()
         self._locator, self._lineno = SimpleNamespace(_py_file=file), function.__code__.co_firstlineno  # for a warning
         self._turn, self._writing = (_Turn(f"{name}{of}", _folders(file), on_wait) for of in ("", " index"))
         with suppress(OSError):  # no sources, as in a frozen program or a notebook
@@ -67,9 +68,9 @@ class CodeCache(caching.NullCache):
     def load_overload(self, signature, context):
         """The compiled version for a signature. None where there is none: then it is this process's turn to compile."""
         context.refresh()
-        key = self._index_key(signature, context.codegen())
+        key = self._index_key(signature, context.codegen()) + self._mark
         reduced = self._load(key)
-        if reduced is None and self._files and self._turn.take(str(signature)):
+        if reduced is None and self._files and self._turn.take(str((signature, *self._mark))):
             reduced = self._load(key)
         return None if reduced is None else compiler.CompileResult._rebuild(context, *reduced)
 
@@ -80,7 +81,7 @@ class CodeCache(caching.NullCache):
         """Keep the compiled version for a signature, where a folder can be written."""
         if not (self._files and self.check_cachable(result)):
             return
-        key, reduced = self._index_key(signature, result.codegen), result._reduce()
+        key, reduced = self._index_key(signature, result.codegen) + self._mark, result._reduce()
         for file in self._files:
             with suppress(OSError):
                 os.makedirs(file._cache_path, exist_ok=True)

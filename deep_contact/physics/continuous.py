@@ -31,7 +31,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.compiled import njit
-from deep_contact.physics.collision import make_cells, smallest_of, sort_level, wall_gap
+from deep_contact.physics.collision import make_cells, smallest_of, sort_level, sum_of, wall_gap
 from deep_contact.physics.segments import (
     BESIDE,
     ON,
@@ -147,7 +147,7 @@ def collide_fast(step, start, segments, drive, shifts):
     """
     bodies, n = step.bodies, step.bodies.mass.shape[0]
     rate = moved(bodies.position, start, -1.0)
-    if not math.isfinite(start.sum() + rate.sum()):
+    if not math.isfinite(sum_of(start) + sum_of(rate)):
         return  # the caller of the run says so
     paths = Paths(
         start, start.copy(), np.zeros(n), rate, 1.0 / bodies.mass, np.zeros(n, np.int64), np.zeros((n, 2)),

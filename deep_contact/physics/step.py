@@ -280,7 +280,8 @@ def with_pairs(received, contacts):
     for row in range(k + new):
         if j < k and (i == m or received[j, PAIR] <= pair_of(contacts, i)):
             i += i < m and received[j, PAIR] == pair_of(contacts, i)
-            merged[row] = received[j]
+            for column in range(8):  # an assignment of rows brings 37 functions along, for the text of its error
+                merged[row, column] = received[j, column]
             j += 1
         else:
             merged[row, PAIR], merged[row, SEPARATION] = pair_of(contacts, i), contacts.separation[i]

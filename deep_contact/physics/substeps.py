@@ -17,7 +17,7 @@ import math
 import numpy as np
 
 from deep_contact.compiled import njit
-from deep_contact.physics.collision import circles_around, refresh_list, sort_into_cells, wall_gap
+from deep_contact.physics.collision import circles_around, refresh_list, sort_into_cells, sum_of, wall_gap
 from deep_contact.physics.segments import is_free, near_box, segment_gap, wall_velocity
 from deep_contact.physics.step import part_of
 from deep_contact.state.arrays import WALL_NORMALS
@@ -131,7 +131,7 @@ def fastest_pair(step, cells, gap, fastest):
     if refresh_list(position, radius, cells, gap):
         for a in range(position.shape[0]):
             fastest = fastest_of(step, a, cells.near, cells.first[a], cells.first[a + 1], fastest)
-    elif math.isfinite(position.sum()):
+    elif math.isfinite(sum_of(position)):
         levels = sort_into_cells(position, radius, gap, cells)
         for a in range(position.shape[0]):
             m = circles_around(a, position, radius[a] + gap, levels, cells, cells.near, np.int64(0))

@@ -1,0 +1,109 @@
+"""python tests/tools/compile_cost.py [KIND …] [--functions]: what a first run compiles, each kind with an empty cache.
+
+Prints for each kind of scene the functions that Numba compiles, the modules that it hands to LLVM, the lines of these
+modules, in LLVM's language before it optimises, and the processor time of the first call, in s. Counts do not depend on
+the machine; other work on it makes the time longer. --functions: each function of the package and of Numba, with its
+modules and lines, the largest first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+from numba.core import codegen, event
+
+ROOT = Path(__file__).resolve().parents[2]
+
+KINDS = {
+    "pile": "dc.simulate(dc.circles_in_box(20), steps=1, accuracy='fast')",
+    "pile, PGS": "dc.simulate(dc.circles_in_box(20), steps=1, solver=dc.PGS())",
+    "pile, accurate": "dc.simulate(dc.circles_in_box(20), steps=1, accuracy='accurate')",
+    "terrain": "dc.simulate(dc.terrain(20), steps=1, accuracy='fast')",
+    "bounces": "dc.simulate(dc.circles_in_box(20, restitution=0.8), steps=1, accuracy='fast')",
+    "moving wall": "dc.simulate(dc.drum(20, froude=0.5), steps=1, accuracy='fast')",
+}
+"""Kind of scene -> its first step."""
+
+
+class Count(event.Listener):
+    """What is compiled while it listens: function -> number of versions, modules and lines."""
+
+    def __init__(self):
+        self.versions, self.modules, self.lines, self._running = Counter(), Counter(), Counter(), []
+
+    def on_start(self, event) -> None:
+        function = event.data["dispatcher"].py_func
+        name = f"{function.__module__}.{function.__qualname__}"
+        self.versions[name] += 1
+        self._running.append(name)
+
+    def on_end(self, event) -> None:
+        self._running.pop()
+
+    def add(self, module) -> None:
+        """Count a module that the function which is compiled now hands to LLVM."""
+        name = self._running[-1] if self._running else "(none)"
+        self.modules[name] += 1
+        self.lines[name] += str(module).count("\n")
+
+
+def count(call: str) -> tuple[Count, float]:
+    """What a call compiles in this process, and its processor time, s."""
+    import deep_contact as dc
+
+    counted, add = Count(), codegen.CPUCodeLibrary.add_ir_module
+
+    def add_and_count(library, module):
+        counted.add(module)
+        add(library, module)
+
+    codegen.CPUCodeLibrary.add_ir_module = add_and_count
+    try:
+        with event.install_listener("numba:compile", counted):
+            begun = time.process_time()
+            eval(call, {"dc": dc})
+            return counted, time.process_time() - begun
+    finally:
+        codegen.CPUCodeLibrary.add_ir_module = add
+
+
+def cost(kind: str) -> dict:
+    """What a kind compiles in a process of its own with an empty cache."""
+    with tempfile.TemporaryDirectory() as folder:
+        environment = os.environ | {"NUMBA_CACHE_DIR": folder, "PYTHONPATH": str(ROOT)}
+        command = [sys.executable, __file__, kind, "--here"]
+        done = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True, timeout=600)
+    return json.loads(done.stdout)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument("--functions", action="store_true", help="list them")
+    parser.add_argument("--here", action="store_true", help="in this process, with its cache, as JSON")
+    args = parser.parse_args()
+    if args.here:
+        counted, seconds = count(KINDS[args.kinds[0]])
+        functions = {name: (n, counted.modules[name], counted.lines[name]) for name, n in counted.versions.items()}
+        print(json.dumps({"functions": functions, "seconds": seconds}))
+        return
+    print(f"{'kind':16}{'functions':>10}{'modules':>10}{'lines':>10}{'s':>8}")
+    for kind in args.kinds or KINDS:
+        found = cost(kind)
+        sums = [sum(column) for column in zip(*found["functions"].values())]
+        print(f"{kind:16}{sums[0]:10}{sums[1]:10}{sums[2]:10,}{found['seconds']:8.1f}", flush=True)
+        if args.functions:
+            for name, numbers in sorted(found["functions"].items(), key=lambda item: -item[1][2]):
+                print("  ", *numbers, name)
+
+
+if __name__ == "__main__":
+    main()
