@@ -22,13 +22,13 @@ from deep_contact.physics.support import supported
 from deep_contact.state import State, StateWithContacts
 from deep_contact.state.arrays import LARGEST_START
 from deep_contact.state.scales import ContactScales
-from deep_contact.validation import brief, expect, integer, one_of, real_numbers
+from deep_contact.validation import brief, expect, one_of, real_numbers
 
 if TYPE_CHECKING:
     from deep_contact.cnn.inference import LearnedModel
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
-Classical = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad"]
+Classical = Literal["none", "builtin", "scaled", "support", "copy"]
 Name = Literal[Classical, "sph", "sph spline", "sph consistent", "cnn", "far field", "far field, no past"]
 Start = Union[Name, WarmStart, "LearnedModel", Path, None]
 """What `warm_start=` takes: a name, a callable, a `LearnedModel` or the path of its file; None is "none"."""
@@ -91,40 +91,6 @@ class Copy:
 
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         return solved_impulses(state, solver)
-
-
-@dataclass(frozen=True)
-class Random:
-    """Random impulses in the cone: λ_n uniform from 0 to the largest solved one, λ_t uniform in ±μ λ_n.
-
-    seed: with the number of the step it decides which.
-    """
-
-    seed: int = 0
-
-    def __post_init__(self):
-        integer("seed", self.seed)
-
-    def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
-        rng = np.random.default_rng((self.seed, state.step))
-        largest = solved_impulses(state, solver)[0].max(initial=0.0)
-        normal = rng.uniform(0.0, 1.0, state.contacts.count) * largest
-        return normal, rng.uniform(-1.0, 1.0, normal.size) * state.world.friction * normal
-
-
-@dataclass(frozen=True)
-class Bad:
-    """As wrong as a start in the cone gets: every λ_n is `factor` times the largest solved one.
-
-    Every λ_t lies on the edge of the cone, on the wrong side.
-    """
-
-    factor: float = 10.0
-
-    def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
-        normal, tangent = solved_impulses(state, solver)
-        wrong = np.full(normal.size, self.factor * normal.max(initial=0.0))
-        return wrong, -np.sign(tangent) * state.world.friction * wrong
 
 
 Transfer = Literal["thesis", "consistent", "spline", "shared"]
@@ -243,8 +209,6 @@ STARTS: dict[Name, Callable[[], WarmStart]] = {
     "scaled": Scaled,
     "support": Support,
     "copy": Copy,
-    "random": Random,
-    "bad": Bad,
     "sph": Sph,
     "sph spline": partial(Sph, transfer="spline"),
     "sph consistent": partial(Sph, transfer="consistent"),

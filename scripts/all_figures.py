@@ -38,22 +38,22 @@ def main(arguments=None, folder=HERE):
     except ValueError as error:
         print(f"all_figures.py: {error}", file=sys.stderr)
         return 2
-    stale = {name: staleness.why_old(name) for name in staleness.stale()} if args.stale or args.references else {}
+    stale = (
+        {name: staleness.made(name)["wall_s"] for name in staleness.stale()} if args.stale or args.references else {}
+    )
     if args.stale:
-        print(*(f"{name}, {duration(time_of(name, why))}: {why}\n" for name, why in stale.items()), sep="", end="")
+        lines = (f"{name}, {duration(took)}: {staleness.why_old(name)}\n" for name, took in stale.items())
+        print(*lines, sep="", end="")
         return 0
     work = [(name, [path, *passed_on], Path(args.out) / f"{stem(path)}.json") for name, path in chosen.items()]
     if args.references:
         wanted = [stem(path) for path in chosen.values()] if args.only else staleness.STUDIES.keys() | stale.keys()
         names = [name for name in stale if name in wanted]
-        work = []
-        for name in names:
-            again = ["--replot"] * (stale[name] == staleness.DRAWN)
-            work.append((name, [*staleness.commands()[name], *passed_on, *again], REFERENCE / f"{name}.json"))
+        work = [(name, [*staleness.commands()[name], *passed_on], REFERENCE / f"{name}.json") for name in names]
         work.append(("tables", [HERE.parent / "docs" / "tables.py"], None))
     done, status = [], 0
     for number, (name, command, stored) in enumerate(work, start=1):
-        left = sum(time_of(one, stale[one]) for one, *_ in work[number - 1 : -1]) if args.references else 0
+        left = sum(stale[one] for one, *_ in work[number - 1 : -1]) if args.references else 0
         print(f"\n[{number}/{len(work)}] {command[0].name}{f', {duration(left)} left' * bool(left)}", flush=True)
         status, seconds = timed(command)
         done.append((name, status, seconds, stored))
@@ -79,11 +79,14 @@ def parse(arguments):
     return args, flags + [str(word) for name, value in values if value is not None for word in (name, value)]
 
 
+<<<<<<< HEAD
 def time_of(name, why):
     """Time that a file of data/reference took, s; 0 where it has only to be drawn again."""
     return 0.0 if why == staleness.DRAWN else staleness.made(name)["wall_s"]
 
 
+=======
+>>>>>>> de85b518
 def duration(seconds):
     """A time in seconds as a text, such as "2:40:00"."""
     return str(timedelta(seconds=round(seconds)))

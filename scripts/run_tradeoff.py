@@ -2,10 +2,9 @@
 
 A list of scenes and settings, which `studies.runs` runs, times and judges. Every finished part is stored in the work
 folder, so an interrupted study of one commit goes on where it stopped. Several processes compute errors; then one
-measures times: `--set timed=false` leaves these out, for a machine that is not quiet. `--set add=<results file>` takes
-over the errors that a file has, and measures what it lacks, and all times. `--install` alone judges the stored settings
-by known answers and makes their numbers those that `dc.simulate` and `dc.recommend` read. Figures 6.1 and 6.2
-draw them.
+measures times: `--set timed=false` leaves these out, for a machine that is not quiet. `--install` alone judges the
+stored settings by known answers and makes their numbers those that `dc.simulate` and `dc.recommend` read. Figures 6.1
+and 6.2 draw them.
 """
 
 from __future__ import annotations
@@ -16,13 +15,11 @@ from pathlib import Path
 
 from deep_contact import run_errors
 from deep_contact.constants import TIME_STEP
-from deep_contact.io import shipped
 from deep_contact.presets import PRESETS, TABLE, excess
 from deep_contact.reporting import Claim, Figure, figures, results
 from deep_contact.studies import runs
 from deep_contact.studies.known import error as known_error
 from deep_contact.trade import name_of
-from deep_contact.validation import expect
 
 
 def settings(budgets: dict, **options) -> list[dict]:
@@ -188,31 +185,12 @@ def wanted(options: Mapping) -> dict[tuple[str, int, str], tuple[dict, int]]:
     return cases_by_name
 
 
-def known(options: Mapping, seed: int, before: Mapping) -> dict[tuple[str, int, str], dict]:
-    """The rows of an earlier study that need no new errors. Where a row needs them, the reference beside it does too.
-
-    Raises ValueError where the earlier study has other options.
-    """
-    theirs = before["options"]["seconds"], before["provenance"]["seed"]
-    expect(theirs == (options["seconds"], seed), f"seconds, seed: expected {theirs} as in the results")
-    rows, cases = {(row["kind"], row["n_bodies"], row["name"]): row for row in before["data"]["rows"]}, wanted(options)
-    kept = {key: rows[key] for key, (_, count) in cases.items() if key in rows and rows[key]["seeds"] >= count}
-    renewed = {key[:2] for key in cases.keys() - kept.keys()}
-    return {key: row for key, row in kept.items() if key[2] != name_of(runs.REFERENCE) or key[:2] not in renewed}
-
-
 def compute(options, seed, jobs, progress):
     """Rows of all scenes and settings, and the settings that the presets take."""
-    before, rows = results.read_results(shipped.find(options["add"])) if options["add"] else None, {}
-    if before is not None:
-        rows = known(options, seed, before)
-    missing = {key: case for key, case in wanted(options).items() if key not in rows}
     common = {"work": Path(options["work"]), "seconds": options["seconds"], "seed": seed}
-    rows |= runs.observed_rows(runs.scene, missing, **common, jobs=jobs)
+    rows = runs.observed_rows(runs.scene, wanted(options), **common, jobs=jobs)
     times = {key: times_of(row, options["processes"]) for key, row in rows.items() if options["timed"]}
-    rows = runs.timed_rows(runs.scene, rows, times, **common)
-    origin = [*before["data"].get("errors_from", []), before["provenance"]["commit"]] if before else []
-    return judged(rows) | {"errors_from": origin}
+    return judged(runs.timed_rows(runs.scene, rows, times, **common))
 
 
 def times_of(row: Mapping, processes: int) -> int:
@@ -292,7 +270,7 @@ FULL = {
     | {"10000": {kind: 6 if kind in MANY else 3 for kind in runs.KINDS if kind not in DEAR}},
     "peer_seeds": {"100": 12, "1000": 6, "3000": 6, "10000": 3},
     "ladder_seeds": {"100": 12, "1000": 6, "3000": 6, "10000": 6},
-    "peers": 1, "seconds": runs.SECONDS, "processes": 3, "timed": True, "add": "", "work": "runs/run_tradeoff",
+    "peers": 1, "seconds": runs.SECONDS, "processes": 3, "timed": True, "work": "runs/run_tradeoff",
 }  # fmt: skip
 QUICK = {
     "seeds": {"100": {"plain": 4}, "300": {"plain": 3}}, "peer_seeds": {"100": 4, "300": 3},

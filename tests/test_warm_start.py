@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import circles_at, run_python
+from conftest import run_python
 
 import deep_contact as dc
 from deep_contact.physics.lcp import contact_problem
 from deep_contact.reporting import plotting
 from deep_contact.studies import starts
-from deep_contact.warm_start import Bad, Builtin, Copy, Random, Scaled, Sph, warm_start_of
+from deep_contact.warm_start import Builtin, Copy, Scaled, Sph, warm_start_of
 
 
 def mean_sweeps(states, start):
@@ -75,21 +75,6 @@ def test_a_name_means_one_way_through_the_grid(name, label, lost, falling_states
     assert starts.CHOSEN.get(name, {"transfer": "consistent"})["transfer"] == transfer
 
 
-@pytest.mark.parametrize("start", [Random(seed=1), Bad()])
-def test_probes_lie_in_the_cone(falling_states, start):
-    state = falling_states[5]
-    normal, tangent = start(state, dc.PGS())
-    assert (normal >= 0).all()
-    assert (np.abs(tangent) <= state.world.friction * normal + 1e-12).all()
-
-
-def test_random_differs_by_step_and_seed_only(falling_states):
-    one, other = falling_states[5:7]
-    np.testing.assert_array_equal(Random(seed=1)(one, dc.PGS())[0], Random(seed=1)(one, dc.PGS())[0])
-    assert Random(seed=1)(one, dc.PGS())[0][0] != Random(seed=2)(one, dc.PGS())[0][0]
-    assert Random(seed=1)(one, dc.PGS())[0][0] != Random(seed=1)(other.replace(contacts=one.contacts), dc.PGS())[0][0]
-
-
 FROM_ROWS = ("scaled", "support", "far field", "far field, no past")
 BUILT = """
 import json, sys
@@ -131,13 +116,6 @@ def test_all_starts_reach_the_same_velocities_without_friction(frictionless_stat
     state = frictionless_states[-1]
     solver = dc.PGS(sweeps=200_000, tolerance=1e-13)
     expected = dc.solve_contacts(state, solver=solver, start="copy").velocities
-    for start in ("none", "random", "bad"):
+    any_start = np.random.default_rng(1).uniform(0.0, 100.0, (2, state.contacts.count))
+    for start in ("none", "sph", tuple(any_start)):
         np.testing.assert_allclose(dc.solve_contacts(state, solver=solver, start=start).velocities, expected, atol=1e-9)
-
-
-def test_a_bad_start_is_too_large_everywhere_and_rubs_the_wrong_way():
-    state = dc.find_contacts(circles_at([[5.0, 1.0], [9.0, 1.0]], friction=0.5))
-    impulses = {"normal_impulse": np.array([1.0, 4.0]), "tangent_impulse": np.array([0.2, -0.3])}
-    state = state.replace(contacts=state.contacts._replace(**impulses), solved=True, solver=dc.PGS())
-    normal, tangent = Bad(factor=3.0)(state, None)
-    assert (normal.tolist(), tangent.tolist()) == ([12.0, 12.0], [-6.0, 6.0])

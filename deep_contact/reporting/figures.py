@@ -210,8 +210,6 @@ def _redrawn(figure: Figure, path: Path) -> dict:
     if stored["id"] != figure.id:
         raise results.ResultsError(f"{path.name}: expected id {figure.id!r}, got {stored['id']!r}")
     judged = stored | results.plain({"title": figure.title, "claims": list(figure.claims(stored["data"]))})
-    if "drawn" in stored["provenance"] and (made := staleness.made_by()):
-        judged["provenance"] = stored["provenance"] | {"drawn": made["drawn"]}
     if judged != stored:
         results.write_results(path, judged)
     _draw(figure, judged, path)

@@ -1,117 +1,72 @@
-"""Which files of data/reference are old, and why: made by other code, other inputs or another processor than today's.
+"""Which files of data/reference are old, and why: made by another script, package, input or processor than today's.
 
-The code of a result is its script and all modules that this imports, directly or not, without comments and docstrings.
-Nothing is left out by its name. What only judges and draws stored numbers is counted apart: the statements of a script
-that its `compute` does not need, and the folder reporting/. After a change of that, numbers are judged and drawn again.
+Code is compared by statements: functions, classes and constants at the top of a module, without comments, docstrings,
+imports and the names of modules. So a move changes nothing. A result stores the statements of its script, and of the
+modules that this imports, directly or not. It is old once one of them is in no file any more, or once its script has a
+new one. What only judges and draws stored numbers does not count.
 
-Numbers that are no times stay true after a change of modules that golden runs execute, while these give the same bits.
+Modules that the golden runs import are held by these instead: numbers are old once the runs give other bits. Times are
+old after any change of such a module.
 """
 
 from __future__ import annotations
 
 import ast
-import copy
 import hashlib
 import json
 import sys
 from collections import Counter
-from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
 from deep_contact.io import lazy, provenance, shipped
 from deep_contact.reporting import results, scripts
 
-_SCRIPTS = shipped.ROOT / "scripts"
+ROOT = shipped.ROOT
 
 STUDIES = {
-    "run_tradeoff": [_SCRIPTS / "run_tradeoff.py"],
-    "run_tradeoff_verify": [_SCRIPTS / "run_tradeoff_verify.py"],
-    "benchmark_engine": [_SCRIPTS / "benchmark.py", "engine"],
-    "benchmark_live": [_SCRIPTS / "benchmark.py", "live"],
+    "run_tradeoff": ["run_tradeoff.py"],
+    "run_tradeoff_verify": ["run_tradeoff_verify.py"],
+    "benchmark_engine": ["benchmark.py", "engine"],
+    "benchmark_live": ["benchmark.py", "live"],
 }
 """File of data/reference -> the script that writes it, and its name there."""
 
-TIMES = frozenset({
-    *STUDIES, *(f"figure_{number}" for number in ("5_2", "5_10", "6_6", "6_7", "6_16")),
-})  # fmt: skip
+TIMES = frozenset([*STUDIES, *(f"figure_{number}" for number in ("5_2", "5_10", "6_6", "6_7", "6_16"))])
 """Files that hold measured times."""
 
-DRAWN = "judged or drawn otherwise"
-"""Why a file is old whose numbers are true."""
+DRAWING = {"reporting", "figures", "plot"}
+"""Folders of the package that store, judge and draw numbers."""
 
-JUDGING = {"title", "quick", "table", "draw", "claims"}, (1, 3, 4, 5)
-"""Arguments of a `Figure` that make no number, by name and by place."""
+JUDGING = {"claims", "draw", "table"}
+"""Functions of a script that see stored numbers alone, unless another function of the script names them."""
 
 
 # ---- code ----
 
 
-@cache
-def code(script: Path, root: Path = shipped.ROOT) -> dict:
-    """{"code": file -> 16 digits, of what a script's numbers come from, "drawn": 16 digits of what draws}."""
-    body = _parsed(script)
-    computing = _needed(body)
-    numbers, (others, drawing) = imported(computing, root)[0], imported(body, root)
-    found = {script: _digest(computing)} | {file: _digest_of(file) for file in numbers}
-    by_name = {file.relative_to(root).as_posix() if root in file.parents else file.name: file for file in found}
-    drawn = [_digest(body), *map(_digest_of, sorted(drawing | others - numbers))]
-    return {"code": {name: found[by_name[name]] for name in sorted(by_name)}, "drawn": _sha(" ".join(drawn).encode())}
-
-
-def imported(statements: Sequence[ast.stmt], root: Path) -> tuple[set[Path], set[Path]]:
-    """The files of the package that statements import, directly or not, and the data files that these name.
-
-    The second are those of reporting/. What only they import changes no number and is drawn by them alone.
-    """
-    found, drawing, reporting = set(), set(), root / "deep_contact" / "reporting"
-    waiting = _imports(statements, root)
-    while waiting:
-        file = waiting.pop()
-        if reporting in file.parents:
-            drawing.add(file)
-            waiting |= {one for one in _imported_by(file, root) if reporting in one.parents} - drawing
-        else:
-            found.add(file)
-            waiting |= _imported_by(file, root) - found - drawing
-    return found, drawing
-
-
-def _needed(body: Sequence[ast.stmt]) -> list[ast.stmt]:
-    """The statements of a script that what its FIGURE or FIGURES computes needs; of any other script all."""
-    names, needed, before = {"FIGURE", "FIGURES"}, [*body], -1
-    if not any(names & _defined(node) for node in body):
-        return needed
-    while before != (before := len(names)):
-        needed = [_Computing().visit(copy.deepcopy(node)) for node in body if names & _defined(node)]
-        names |= {one.id for node in needed for one in ast.walk(node) if isinstance(one, ast.Name)}
-    return needed
-
-
-def _defined(node: ast.stmt) -> set[str]:
-    """Names to which a statement of a module gives a meaning, or which it may change."""
-    if isinstance(node, (ast.Import, ast.ImportFrom)):
-        return {(alias.asname or alias.name).partition(".")[0] for alias in node.names}
-    if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-        return {node.name}
-    names = [one for one in ast.walk(node) if isinstance(one, ast.Name)]
-    stored = {one.id for one in names if isinstance(one.ctx, ast.Store)}
-    return stored if stored and isinstance(node, (ast.Assign, ast.AnnAssign)) else {one.id for one in names}
-
-
-class _Computing(ast.NodeTransformer):
-    """Leaves out what of a `Figure` only judges and draws stored numbers."""
-
-    def visit_Call(self, node):
-        if ast.unparse(node.func).endswith(("Figure", "_figure")):
-            names, places = JUDGING
-            node.args = [value for place, value in enumerate(node.args) if place not in places]
-            node.keywords = [keyword for keyword in node.keywords if keyword.arg not in names]
-        return self.generic_visit(node)
-
-
 class _Code(ast.NodeTransformer):
-    """Leaves out docstrings, and what only type checkers read."""
+    """Leaves out imports, names of the package's modules, docstrings, and what only type checkers read.
+
+    imported: (module, name) of all that a file imports from the package. used: the same, of attributes of these.
+    """
+
+    def __init__(self):
+        self.imported, self.used, self.modules = set(), set(), {}
+
+    def visit_ImportFrom(self, node):
+        if (node.module or "").partition(".")[0] == "deep_contact":
+            self.imported |= {(node.module, one.name) for one in node.names}
+            self.modules |= {one.asname or one.name: f"{node.module}.{one.name}" for one in node.names}
+
+    def visit_Import(self, node):
+        self.modules |= {one.asname: one.name for one in node.names if one.name == "deep_contact"}
+
+    def visit_Attribute(self, node):
+        if not (isinstance(node.value, ast.Name) and node.value.id in self.modules):
+            return self.generic_visit(node)
+        self.used.add((self.modules[node.value.id], node.attr))
+        return ast.Name(node.attr)
 
     def visit_Expr(self, node):
         return None if isinstance(node.value, ast.Constant) else self.generic_visit(node)
@@ -120,78 +75,95 @@ class _Code(ast.NodeTransformer):
         return None if ast.unparse(node.test) == "TYPE_CHECKING" else self.generic_visit(node)
 
 
-@cache
-def _parsed(file: Path) -> list[ast.stmt]:
-    return _Code().visit(ast.parse(file.read_bytes())).body
+def _place(module: str) -> Path:
+    return ROOT / f"{module.replace('.', '/')}.py"
 
 
-def _sha(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()[:16]
+def _home(module: str, name: str) -> tuple[str, str]:
+    """Where a name of a module is defined, if the module imports its names when they are used."""
+    package = _place(f"{module}.__init__")
+    if not package.is_file() and "." in module and not _place(module).is_file():
+        module = ".".join(_home(*module.rpartition(".")[::2]))
+    return lazy.homes(str(package)).get(name, (module, name)) if package.is_file() else (module, name)
 
 
-def _digest(statements: Sequence[ast.stmt]) -> str:
-    return _sha(" ".join(map(ast.dump, statements)).encode())
-
-
-@cache
-def _digest_of(file: Path) -> str:
-    return _digest(_parsed(file)) if file.suffix == ".py" else _sha(file.read_bytes())
+def _sha(content: str) -> str:
+    return hashlib.sha256(content.encode()).hexdigest()[:16]
 
 
 @cache
-def _imported_by(file: Path, root: Path) -> set[Path]:
-    """The files that a module of the package imports, and the .json files beside it or of models/ that it names."""
+def read(file: Path) -> tuple[dict[str, str], set[Path]]:
+    """{16 digits of a statement: its name, such as "starts.paired"} of a file, and the files that it imports or names.
+
+    A data file is one statement. Of a script, those of `JUDGING` are left out. Raises ValueError for an import that is
+    in no file.
+    """
+    text = file.read_text(encoding="utf-8")
     if file.suffix != ".py":
-        return set()
-    texts = [one.value for node in _parsed(file) for one in ast.walk(node) if isinstance(one, ast.Constant)]
+        return {_sha(text): file.name}, set()
+    code = _Code()
+    body = code.visit(ast.parse(text)).body
+    named = {one.id for node in body if hasattr(node, "args") for one in ast.walk(node) if isinstance(one, ast.Name)}
+    left_out = JUDGING - named if ROOT / "deep_contact" not in file.parents else ()
+    names = [getattr(node, "name", None) or ast.unparse(getattr(node, "targets", [node])[0])[:30] for node in body]
+    made = {_sha(ast.unparse(node)): f"{file.stem}.{name}" for node, name in zip(body, names) if name not in left_out}
+    return made, _files(file, code, body)
+
+
+def _files(file: Path, code: _Code, body: list[ast.stmt]) -> set[Path]:
+    """The modules and the data files behind a module's imports and texts, but for those of `DRAWING`."""
+    texts = [one.value for node in body for one in ast.walk(node) if isinstance(one, ast.Constant)]
     names = [text for text in texts if isinstance(text, str) and text.endswith(".json") and "/" not in text]
-    data = (folder / name for folder in (file.parent, file.parent / "reference", root / "models") for name in names)
-    return _imports(_parsed(file), root) | {path for path in data if path.is_file()}
+    files = {folder / name for name in names for folder in (file.parent, file.parent / "reference", ROOT / "models")}
+    for pair in code.imported | code.used:
+        home, whole = _home(*pair)[0], ".".join(_home(*pair))
+        places = {_place(one) for one in (home, f"{home}.__init__", whole, f"{whole}.__init__")}
+        if pair in code.imported and not any(place.is_file() for place in places):
+            raise ValueError(f"{file.name}: expected a module for {'.'.join(pair)}")
+        files |= {*places, _place(f"{pair[0]}.__init__")}
+    return {one for one in files if one.is_file() and not DRAWING & {*one.parts[len(ROOT.parts) :]}}
 
 
-def _imports(statements: Sequence[ast.stmt], root: Path) -> set[Path]:
-    """Files of the package that statements import, those included that they take as attributes of a lazy package."""
-    nodes = [one for statement in statements for one in ast.walk(statement)]
-    wanted, packages = set(), {}
-    for node in nodes:
-        if isinstance(node, ast.ImportFrom) and node.module:
-            wanted |= {(node.module, alias.name) for alias in node.names}
-            packages |= {alias.asname or alias.name: f"{node.module}.{alias.name}" for alias in node.names}
-        elif isinstance(node, ast.Import):
-            wanted |= {(alias.name, "") for alias in node.names}
-            packages |= {alias.asname or alias.name: alias.name for alias in node.names}
-    for node in nodes:
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in packages:
-            wanted.add((packages[node.value.id], node.attr))
-    inside = [pair for pair in wanted if pair[0].partition(".")[0] == "deep_contact"]
-    return {file for module, name in inside for file in _files(root, module, name)}
+@cache
+def reached(file: Path) -> set[Path]:
+    """A file, and all that it imports or names, directly or not."""
+    found, waiting = set(), {file}
+    while waiting:
+        found.add(one := waiting.pop())
+        waiting |= read(one)[1] - found
+    return found
 
 
-def _files(root: Path, module: str, name: str) -> set[Path]:
-    """Where a module, or a name of it, is defined, with the packages that are imported on the way."""
-    place = root / module.replace(".", "/")
-    files = {place.with_suffix(".py"), place / f"{name}.py", place / name / "__init__.py"}
-    files |= {folder / "__init__.py" for folder in (place / "_").parents if root in folder.parents}
-    files = {file for file in files if file.is_file()}
-    homes = lazy.homes(str(place / "__init__.py")) if place / "__init__.py" in files else {}
-    return files if homes.get(name, [module])[0] == module else files | _files(root, *homes[name])
+def _statements(files) -> dict[str, str]:
+    return {digest: name for file in sorted(files) for digest, name in read(file)[0].items()}
 
 
-# ---- what is old ----
+@cache
+def everywhere() -> dict[str, str]:
+    """The statements of the package, the scripts and their data files."""
+    folders = ROOT / "deep_contact", ROOT / "scripts", ROOT / "models"
+    return _statements(one for folder in folders for kind in ("*.py", "*.json") for one in folder.rglob(kind))
 
 
-def made_by() -> dict:
-    """What `reason` compares of the script that runs: its `code` and the golden runs; nothing outside of a script."""
-    script = Path(getattr(sys.modules["__main__"], "__file__", None) or "none").resolve()
+@cache
+def made_by(script: Path | None = None) -> dict:
+    """What `reason` compares, of the script that runs or another; nothing outside of a script.
+
+    code: statements that no golden run holds. held: 16 digits for the others. golden: 16 digits for the runs' bits.
+    """
+    script = script or Path(getattr(sys.modules["__main__"], "__file__", None) or "none").resolve()
     if script.suffix != ".py" or not script.is_file() or "site-packages" in script.parts:
         return {}
-    return code(script) | dict(zip(["golden"], golden()))
+    runs = ROOT / "tests" / "tools" / "golden.py"
+    held = {one for one in reached(runs) if one.suffix == ".py"} if runs.is_file() else set()
+    digits = _sha(" ".join(sorted(_statements(reached(script) & held))))
+    return {"code": _statements(reached(script) - held), "held": digits} | dict(zip(["golden"], golden()))
 
 
 @cache
-def golden(root: Path = shipped.ROOT) -> tuple[str, ...]:
+def golden() -> tuple[str, ...]:
     """Digests of the golden runs (tests/tools/golden.py): today's, and those of before whose runs kept their bits."""
-    file = root / "data" / "reference" / "golden.json"
+    file = ROOT / "data" / "reference" / "golden.json"
     if not file.is_file():
         return ()
     record = json.loads(file.read_text(encoding="utf-8"))
@@ -200,15 +172,19 @@ def golden(root: Path = shipped.ROOT) -> tuple[str, ...]:
 
 def digest_of_runs(runs: dict) -> str:
     """16 digits for the bits of all golden runs."""
-    return _sha(json.dumps({name: runs[name]["sha256"] for name in sorted(runs)}).encode())
+    return _sha(json.dumps({name: runs[name]["sha256"] for name in sorted(runs)}))
+
+
+# ---- what is old ----
 
 
 @cache
 def commands() -> dict[str, list]:
     """File of data/reference -> its script and options, of all that can be old. Others say what was done once."""
-    figures = {scripts.stem(path): [path] for path in scripts.find(_SCRIPTS).values()}
-    there = {path.stem for path in results.REFERENCE.glob("*.json")}
-    return {name: command for name, command in (STUDIES | figures).items() if name in there}
+    folder = ROOT / "scripts"
+    found = {name: [folder / script, *options] for name, (script, *options) in STUDIES.items()}
+    found |= {scripts.stem(path): [path] for path in scripts.find(folder).values()}
+    return {name: command for name, command in found.items() if (results.REFERENCE / f"{name}.json").is_file()}
 
 
 @cache
@@ -229,27 +205,24 @@ def why_old(name: str) -> str:
     return reason(made(name), commands()[name][0], is_time=name in TIMES) if name in commands() else ""
 
 
-def reason(stored: dict, script: Path, *, is_time: bool, root: Path = shipped.ROOT) -> str:
+def reason(stored: dict, script: Path, *, is_time: bool) -> str:
     """Why results with this provenance are not what a script would give today; "" if they are."""
-    if "drawn" not in stored:
+    if not stored.get("code"):
         return f"it does not say what code made it (commit {stored['commit'][:8]})"
     for name, digest in stored.get("inputs", {}).items():
         if provenance.digests([name]).get(name) != digest:
             return f"{name} has changed"
-        if (path := Path(name)).parent.as_posix() == "data/reference" and why_old(path.stem) not in ("", DRAWN):
+        if (path := Path(name)).parent.as_posix() == "data/reference" and why_old(path.stem):
             return f"{name} is old"
-    now, then = code(script, root), stored["code"]
-    changed = [file for file in sorted(now["code"] | then) if now["code"].get(file) != then.get(file)]
-    if not is_time and stored.get("golden") in golden(root):
-        runs = code(root / "tests" / "tools" / "golden.py", root)["code"]
-        # What imported a file that is gone has changed itself; golden runs change with the settings of presets.
-        held = {file for file in runs.keys() | then.keys() - now["code"].keys() if file.endswith(".py")}
-        changed = [file for file in changed if file not in held]
+    changed = {name for digest, name in stored["code"].items() if digest not in everywhere()}
+    changed |= {name for digest, name in read(script)[0].items() if digest not in stored["code"]}
     if changed:
-        return f"{', '.join(changed[:3])}{f' and {len(changed) - 3} more' if len(changed) > 3 else ''} changed"
-    if is_time and stored["cpu"] != processor():
-        return f"measured on {stored['cpu']}, the others on {processor()}"
-    return "" if stored["drawn"] == now["drawn"] else DRAWN
+        return f"{', '.join(sorted(changed)[:3])}{f' and {len(changed) - 3} more' * (len(changed) > 3)} changed"
+    if is_time:
+        if stored["held"] != made_by(script)["held"]:
+            return "a time, and the package has changed"
+        return "" if stored["cpu"] == processor() else f"measured on {stored['cpu']}, the others on {processor()}"
+    return "" if stored.get("golden") in golden() else "golden runs give other bits"
 
 
 def stale() -> list[str]:
@@ -257,6 +230,6 @@ def stale() -> list[str]:
 
     def order(name: str):
         inputs = any(Path(one).stem in TIMES for one in made(name).get("inputs", {}))
-        return inputs, name in TIMES, 0.0 if why_old(name) == DRAWN else made(name)["wall_s"]
+        return inputs, name in TIMES, made(name)["wall_s"]
 
     return sorted((name for name in commands() if why_old(name)), key=order)

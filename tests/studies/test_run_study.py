@@ -178,10 +178,10 @@ def study(tmp_path, monkeypatch, without_runs):
     monkeypatch.setattr(script, "known_error", lambda setting: 0.5)
     seeds = {"seeds": {"20": {"plain": 2}}, "ladder_seeds": {"20": 2}, "peer_seeds": {"20": 2}}
 
-    def run(settings, work="work", **options):
+    def run(settings):
         lists = {name: {"20": settings if name == "settings" else []} for name in script.LISTS}
         monkeypatch.setattr(script, "LISTS", lists)
-        options = seeds | {"seconds": 1.0, "work": str(tmp_path / work)} | options
+        options = seeds | {"seconds": 1.0, "work": str(tmp_path / "work")}
         return figures.produce(script.FIGURE, options=options, quick=True, out=tmp_path)
 
     return run, script
@@ -199,25 +199,6 @@ def test_the_script_installs_what_recommend_reads(study, tmp_path, monkeypatch):
     monkeypatch.setattr("deep_contact.presets.installed", lambda: table)
     assert dc.recommend(dc.circles_in_box(20), accuracy="preview").us > 0
     assert {setting["name"] for setting in table["settings"]} == {"PGS, 3 sweeps, Δt", "NNCG, 2 sweeps, Δt"}
-
-
-def test_the_script_adds_settings_to_its_results(study, tmp_path, monkeypatch):
-    run, _ = study
-    settings = [COARSE, COARSE | {"method": "PSOR"}]
-    before = {row["name"]: row for row in run(settings)["data"]["rows"]}
-    earlier = str(tmp_path / "run_tradeoff.json")
-    found = run([*settings, COARSE | {"method": "BatchedPGS"}], work="second", add=earlier)
-    assert found["data"]["errors_from"] == [found["provenance"]["commit"]]
-    after = {row["name"]: row for row in found["data"]["rows"]}
-    observed = [path for path in (tmp_path / "second").iterdir() if path.name.startswith("observed")]
-    assert len(observed) == 2 * 2  # of the reference and of what is new, by two seeds
-    assert after.keys() - before.keys() == {"BatchedPGS, 3 sweeps, Δt"}
-    for name, row in before.items():
-        assert after[name]["errors"] == row["errors"]
-        assert row["setting"] == runs.REFERENCE or after[name]["us"] > 0
-    assert after["BatchedPGS, 3 sweeps, Δt"]["errors"]["energy"] == pytest.approx((1.0, 1.0, 1.0))
-    with pytest.raises(ValueError, match=r"seconds, seed: expected \(1.0, 0\)"):
-        run(settings, add=earlier, seconds=2.0)
 
 
 def test_what_presets_and_trades_choose_is_held_against_scenes_outside_the_study(tmp_path, monkeypatch, without_runs):
