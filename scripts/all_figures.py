@@ -79,14 +79,6 @@ def parse(arguments):
     return args, flags + [str(word) for name, value in values if value is not None for word in (name, value)]
 
 
-<<<<<<< HEAD
-def time_of(name, why):
-    """Time that a file of data/reference took, s; 0 where it has only to be drawn again."""
-    return 0.0 if why == staleness.DRAWN else staleness.made(name)["wall_s"]
-
-
-=======
->>>>>>> de85b518
 def duration(seconds):
     """A time in seconds as a text, such as "2:40:00"."""
     return str(timedelta(seconds=round(seconds)))

@@ -128,8 +128,8 @@ class LearnedModel:
         """(λ_n, λ_t) at the state's contacts, (m,) each, N·s; for several states, a list of such pairs.
 
         project: whether the impulses are projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n. problem: the result of
-        `step_problem(state)`, if it has been computed; a far-field network corrects the impulses of its rows. Raises the
-        errors of `input`.
+        `step_problem(state)`, if it has been computed; a far-field network corrects the impulses of its rows. Raises
+        the errors of `input`.
         """
         if not isinstance(state, State):
             states = list_of("state", State, state)
