@@ -19,10 +19,10 @@ from deep_contact.physics.solvers.registry import Loop, register, tolerance_argu
 class NNCG(PGS):
     """Nonsmooth nonlinear conjugate gradient on PGS (Silcowitz, Niebe and Erleben, The Visual Computer 26, 2010).
 
-    Options of `PGS`. Each sweep's change is taken for a descent direction, and the directions are combined as by
-    Fletcher and Reeves. Weakness: θ does not fall with every sweep, so with fewer than ten sweeps PGS is the safer
-    choice. The combination assumes that the sets of sticking, slipping and open contacts do not change; while they
-    change it restarts often and is PGS at a higher cost. With friction convergence is not proven.
+    The options are those of `PGS`. Each sweep's change is taken for a descent direction, and the directions are
+    combined as by Fletcher and Reeves. Weakness: θ does not fall with every sweep, so with fewer than ten sweeps PGS is
+    the safer choice. The combination assumes that the sets of sticking, slipping and open contacts do not change; while
+    they change it restarts often and is PGS at a higher cost. With friction convergence is not proven.
     """
 
 
@@ -50,8 +50,9 @@ def relax_nncg(settings, rows, friction, solver_bodies, theta, workspace):
     """Nonsmooth nonlinear conjugate gradient: what a sweep changes is taken for the descent direction −∇f.
 
     After each sweep, λ ← λ + β p and p ← β p − ∇f with β = ‖∇f‖² / ‖∇f of the sweep before‖² (Fletcher-Reeves), and
-    p ← 0 where β > 1. Velocities are linear in λ, so theirs is carried along instead of being summed up over contacts.
-    The last sweep is not extrapolated: the impulses returned are those that a sweep left in the cone.
+    p ← 0 where β > 1. Velocities are linear in λ, so the direction of the velocities is carried along instead of being
+    summed up over contacts. The last sweep is not extrapolated: the impulses returned are those that a sweep left in
+    the cone.
     """
     # Flat views, so that the loops over all numbers vectorise.
     impulse, velocity = rows.impulse.reshape(rows.impulse.size), solver_bodies.reshape(solver_bodies.size)

@@ -16,29 +16,30 @@ from deep_contact.state import State
 from deep_contact.state.scales import FOLLOWS_SCENE, theta_tolerance
 
 MOST_SWEEPS = 10_000_000
-"""Upper limit of every count: the θ of each sweep is kept, which takes 8 bytes."""
+"""Largest value of each count among the options: the θ of each sweep is kept, which takes 8 bytes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PGS:
     """Projected Gauss-Seidel, the thesis's Algorithm 1 with the friction row of Box2D beside every normal row.
 
-    sweeps: at most so many velocity sweeps. tolerance: stop once θ (the largest change of an impulse in the last
-    sweep, N·s) is no larger; None sweeps to the end, "scene" takes 6e-5 N·s times the scene's m g Δt over
-    the thesis's (`scales.theta_tolerance`). position_sweeps: at most so many sweeps of position correction.
-    islands: sweep each island on its own.
-    substeps: divide every step of a run into so many, each with sweeps and position sweeps of its own (Macklin et al.,
-    Small Steps in Physics Simulation, 2019). Contacts carry the impulses of the last one times their number, so that a
-    start fits any division of Δt; where that is a power of two, a run that is read back goes on bit for bit.
-    most_substeps: most substeps of a step in which something is about to hit, `substeps` times a power of two; by
-    default `substeps`. approach: how far what hits may move in a substep, in mean radii, which decides their number
-    (`physics.substeps`). A tolerance is that of the longest substep.
-    slop: penetration that position correction leaves alone, in units of the scene's (`scales`). With a small one and
-    one substep a pile may tremble; with a quarter, two substeps are enough.
+    sweeps: largest number of velocity sweeps. tolerance: θ at which the sweeps end, N·s, where θ is the largest change
+    of an impulse in a sweep. None does all sweeps; "scene" takes 6e-5 N·s times the ratio of the scene's m g Δt to the
+    thesis's (`scales.theta_tolerance`). With substeps it is the tolerance of the longest substep.
+    position_sweeps: largest number of sweeps of position correction. islands: whether each island is swept on its own.
+    substeps: number of equal parts of every step of a run, each with sweeps and position sweeps of its own (Macklin et
+    al., Small Steps in Physics Simulation, 2019). Contacts carry the impulses of the last substep times the number of
+    substeps, so that a start fits any division of Δt. If this number is a power of two, a run that is read back goes on
+    bit for bit.
+    most_substeps: largest number of substeps of a step in which a circle is about to hit something, `substeps` times a
+    power of two; by default `substeps`. approach: largest displacement of such a circle in a substep, in mean radii,
+    which decides the number of substeps (`physics.substeps`).
+    slop: penetration that position correction leaves alone, in units of the scene's slop (`scales`). With a small slop
+    and one substep a pile may tremble; with a quarter, two substeps are enough.
 
     Weakness: it is slow, not unstable. Every sweep lowers the energy of the error, but information travels one contact
-    a sweep, so the number of sweeps grows with the square of a pile's height and with the mass ratio.
-    Islands are stopped separately, which saves nothing for one pile, or without a tolerance. Only PGS has them.
+    a sweep, so the number of sweeps grows with the square of a pile's height and with the mass ratio. The sweeps of
+    each island end separately, which saves nothing for one pile, or without a tolerance. Only PGS has islands.
     """
 
     sweeps: int = 3000
