@@ -1,15 +1,15 @@
 """Batches of contacts that share no circle, in tiles of eight: the data structure of `solvers.batched`.
 
-A sweep of `contact_solver` waits: the next contact needs the velocities that this one writes. In a batch no circle
-occurs twice, so eight contacts are one vector operation (`compiled.simd`). Walls never move, so contacts of a batch may
-share them.
+In a sweep of `contact_solver`, each contact has to wait for the velocities that the contact before it writes. In a
+batch no circle occurs twice, so that eight contacts are one vector operation (`compiled.simd`). Walls never move, so
+contacts of a batch may share them.
 
 The list of contacts is cut into blocks of `BLOCK`, and each block is coloured greedily: a batch is a colour of a block.
-Blocks are relaxed phase by phase; those of a phase share no circle. This order is a part of the result: a run with more
-than two blocks has other bits where blocks are relaxed in the order of the list.
+Blocks are relaxed phase by phase; the blocks of a phase share no circle. This order is a part of the result: with more
+than two blocks, relaxing them in the order of the list gives other bits.
 
-A batch is stored as tiles of eight contacts; the last one is padded with contacts between the idle body and itself. A
-block has five bodies of its own beside the circles: the four walls, and the idle one.
+A batch is stored as tiles of eight contacts; its last tile is padded with contacts of the idle body with itself. A
+block has five bodies of its own beside the circles: the four walls and the idle body.
 """
 
 from __future__ import annotations
@@ -58,8 +58,8 @@ BLOCK = 1024
 """Contacts coloured together: smaller blocks fill fewer tiles, larger ones leave the nearest cache."""
 
 COLOURS = 64
-"""Colours, and phases, in a bit mask. A contact without a free colour is a batch of its own. Blocks without a free
-phase come last, in the order of the list."""
+"""Number of colours, and of phases, in a bit mask. A contact without a free colour is a batch of its own. Blocks
+without a free phase come last, in the order of the list."""
 
 CONTACTS, BLOCKS, TILES, CIRCLES, ROWS = range(5)
 """Elements of `BatchPlan.count`."""
@@ -69,33 +69,33 @@ BATCHES, PHASE_BITS = range(2)
 
 
 class BatchPlan(NamedTuple):
-    """Where each contact goes: buffers for M contacts of n circles in B blocks."""
+    """The batch and the place of each contact: buffers for M contacts of n circles in B blocks."""
 
-    mark: np.ndarray  # (n, 2): of a circle: its colours in the current block, and its phases, as bits
-    batch: np.ndarray  # (M,): of a contact: its batch, counted from 0 in each block
-    place: np.ndarray  # (M,): of a contact: 8 · tile + lane
-    fill: np.ndarray  # (M,): of a batch: contacts in it, then the next free place
-    used: np.ndarray  # (M,): of a tile: lanes in use
-    first: np.ndarray  # (B+1,): of a block: its first tile; one more at the end
-    own: np.ndarray  # (B+1,): of a block: the first row of its contacts with segments; one more at the end
-    phase: np.ndarray  # (B,): of a block: its phase
+    mark: np.ndarray  # (n, 2): colours of each circle in the current block, and phases of each circle, as bits
+    batch: np.ndarray  # (M,): batch of each contact, counted from 0 in each block
+    place: np.ndarray  # (M,): place of each contact: 8 · tile + lane
+    fill: np.ndarray  # (M,): for each batch, the number of its contacts, and then its next free place
+    used: np.ndarray  # (M,): number of lanes in use in each tile
+    first: np.ndarray  # (B + 1,): first tile of each block, and the number of tiles
+    own: np.ndarray  # (B + 1,): first row of each block's contacts with segments, and the number of rows
+    phase: np.ndarray  # (B,): phase of each block
     order: np.ndarray  # (B,): blocks by phase
     count: np.ndarray  # (5,): contacts, blocks and tiles in use, circles, rows of bodies
 
 
 class Tiles(NamedTuple):
-    """Eight contacts each, in the order in which they are relaxed; and the circles, with five rows for each block."""
+    """Tiles of eight contacts, in the order in which they are relaxed, and bodies: circles, and five for each block."""
 
     body: np.ndarray  # (T, 2, 8): a, b as rows of `solver_bodies` and `centre`
     data: np.ndarray  # (T, 6, 8): as in `Rows`
     impulse: np.ndarray  # (T, 2, 8): λ_n, λ_t, N·s
     solver_bodies: np.ndarray  # (R, 4): as in the engine: circles, walls and idle bodies of the blocks, segments
-    centre: np.ndarray  # (R, 4): likewise; see `position_correction.fill_ground`
+    centre: np.ndarray  # (R, 4): centres of these bodies, see `position_correction.fill_ground`
 
 
 @njit(cache=True)
 def make_plan(n, capacity):
-    """Buffers for the plan of so many contacts of n circles. Its counts are those of no plan (`is_plan_of`)."""
+    """Buffers for a plan of `capacity` contacts of n circles, with the counts of no plan (`is_plan_of`)."""
     blocks = capacity // BLOCK + 1
     whole = np.int64
     return BatchPlan(
@@ -107,7 +107,7 @@ def make_plan(n, capacity):
 
 @njit(cache=True)
 def make_tiles(rows, tiles):
-    """Buffers for so many rows of bodies and tiles."""
+    """Buffers for `rows` rows of bodies and for `tiles` tiles."""
     return Tiles(
         np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 6, WIDTH)), np.empty((tiles, 2, WIDTH)),
         np.empty((rows, 4)), np.empty((rows, 4)),
@@ -116,9 +116,10 @@ def make_tiles(rows, tiles):
 
 @njit(cache=True)
 def plan_batches(body_a, body_b, n, plan):
-    """Put all contacts, (m,) each, into batches: greedily, the first colour that neither circle has in its block.
+    """Sort all contacts, (m,) each, into batches: each gets the first colour that its two circles do not have yet.
 
-    Welsh and Powell 1967, in the order of the list. Returns the plan, a larger one if needed.
+    This is the greedy colouring of Welsh and Powell (1967), in the order of the list. Returns the plan, a larger one if
+    needed.
     """
     m = body_a.shape[0]
     if m > plan.batch.shape[0]:
@@ -141,7 +142,7 @@ def plan_batches(body_a, body_b, n, plan):
 
 @njit(cache=True)
 def is_plan_of(plan, n, contacts, planned):
-    """Whether the plan, made for other contacts of n circles, holds for these: the same pairs in the same order."""
+    """Whether the plan of the contacts `planned` of n circles holds for other contacts: equal pairs in equal order."""
     m = contacts.body_a.shape[0]
     if plan.count[CIRCLES] != n or plan.count[CONTACTS] != m:
         return False
@@ -153,15 +154,15 @@ def is_plan_of(plan, n, contacts, planned):
 
 @njit(cache=True)
 def choose_batches(body_a, body_b, n, begin, end, plan):
-    """Batches of the contacts of one block; counts them in `fill`.
+    """Choose the batches of the contacts of one block, and count the contacts of each batch in `fill`.
 
-    Returns how many batches there are, the phases that its circles have, as bits, and the contacts with segments.
-    Here and below, numbers without a sign index arrays: Numba looks whether others are negative, for each element.
+    Returns the number of batches, the phases of the block's circles, as bits, and the number of contacts with segments.
+    Here and below, unsigned integers index arrays: for signed ones, Numba tests every index for being negative.
     """
     mark, batches, alone, segments = plan.mark, 0, 0, 0
     nothing, one = np.uint64(0), np.uint64(1)
     taken = of_a = nothing
-    held = np.uint32(body_a[begin])  # contacts are sorted by body a, so its marks need no trip through memory
+    held = np.uint32(body_a[begin])  # contacts are sorted by body a, so its marks stay in registers
     for i in range(begin, end):
         a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
         if a != held:
@@ -189,9 +190,9 @@ def choose_batches(body_a, body_b, n, begin, end, plan):
 
 @njit(cache=True)
 def take_phase(body_a, body_b, n, begin, end, taken, plan):
-    """The first phase that is not taken, in which no other block has a circle of this one, or `COLOURS`.
+    """The first phase in which no other block has a circle of this block, or `COLOURS`; marks its circles with it.
 
-    Wipes the marks of colours.
+    taken: phases of the block's circles, as bits. The colours of these circles are cleared.
     """
     mark, phase, mine = plan.mark, lowest_zero(taken), np.uint64(0)
     if phase < COLOURS:
@@ -208,7 +209,7 @@ def take_phase(body_a, body_b, n, begin, end, taken, plan):
 
 @njit(cache=True)
 def place_contacts(begin, end, batches, tile, plan):
-    """Places of the contacts of one block from a tile on, batch after batch. Returns the tile after them."""
+    """Assign places to the contacts of one block, batch by batch from a tile on. Returns the tile after the last."""
     fill = plan.fill[begin : begin + batches]
     for c in range(batches):
         left, fill[c] = fill[c], tile * WIDTH
@@ -225,7 +226,7 @@ def place_contacts(begin, end, batches, tile, plan):
 
 @njit(cache=True)
 def sort_phases(blocks, plan):
-    """Fill `order`: blocks by their phases, those of a phase in the order of the list."""
+    """Fill `order`: blocks sorted by phase, and the blocks of a phase in the order of the list."""
     place = 0
     for phase in range(COLOURS + 1):
         for k in range(blocks):
@@ -236,7 +237,7 @@ def sort_phases(blocks, plan):
 
 @njit(cache=True)
 def with_room(plan, tiles):
-    """The tiles, larger ones if the plan needs them; walls and idle bodies at rest."""
+    """The tiles, or larger ones if the plan needs them, with walls and idle bodies at rest."""
     n, rows, last = plan.count[CIRCLES], plan.count[ROWS], plan.count[TILES]
     if last > tiles.body.shape[0] or rows > tiles.solver_bodies.shape[0]:
         tiles = make_tiles(n + (rows - n) * 3 // 2 + 5, last + last // 2)
@@ -246,15 +247,15 @@ def with_room(plan, tiles):
 
 @njit(cache=True)
 def contacts_of_block(plan, k):
-    """(First contact of a block, the one after its last)."""
+    """(First contact of block k, the contact after its last)."""
     return k * BLOCK, min(k * BLOCK + BLOCK, plan.count[CONTACTS])
 
 
 @njit(cache=True, error_model="numpy")
 def place_block(step, contacts, plan, tiles, k, drive):
-    """Write the bodies of a block's contacts, and the impulses that they start from, to their places.
+    """Write the bodies and the starting impulses of a block's contacts to their places.
 
-    Of walls and segments also what `fill_rows` does not know. step: `StepInput`.
+    For contacts with walls and segments, also write the row data that `fill_rows` cannot compute. step: `StepInput`.
     """
     body, data, impulse, n = tiles.body, tiles.data, tiles.impulse, plan.count[CIRCLES]
     body_a, body_b, place = contacts.body_a, contacts.body_b, plan.place
@@ -281,7 +282,7 @@ def place_block(step, contacts, plan, tiles, k, drive):
 
 @njit(cache=True)
 def place_rows(rows, plan, tiles, k):
-    """Write the numbers of a block's contacts to their places, as `fill_rows` would. rows: `Rows`, built."""
+    """Write the row data of a block's contacts to their places, as `fill_rows` would. rows: `Rows` that are built."""
     begin, end = contacts_of_block(plan, k)
     for i in range(begin, end):
         for column in range(ARM_B + 1):
@@ -290,7 +291,7 @@ def place_rows(rows, plan, tiles, k):
 
 @njit(cache=True)
 def move_points(plan, tiles, dt):
-    """Let the points that contacts touch on segments go on with these for Δt, in place."""
+    """Move the contact points on segments with their segments for Δt, in place."""
     v, centre = tiles.solver_bodies, tiles.centre
     for row in range(plan.own[0], plan.count[ROWS]):
         centre[row, 0] += dt * v[row, V_X]
@@ -299,7 +300,7 @@ def move_points(plan, tiles, dt):
 
 @njit(cache=True)
 def place_segments(step, contacts, plan, tiles, k, drive):
-    """Write the points that a block's contacts touch on segments, each as a wall of its own (`fill_ground`)."""
+    """Write the contact points of a block on segments, each as a wall of its own (`fill_ground`)."""
     n, row, (begin, end), skin = plan.count[CIRCLES], plan.own[k], contacts_of_block(plan, k), step.scales.wall_skin
     centre, solver_bodies, place = tiles.centre, tiles.solver_bodies, plan.place
     position, radius, line = step.bodies.position, step.bodies.radius, step.segments.line
@@ -324,8 +325,8 @@ def place_segments(step, contacts, plan, tiles, k, drive):
 def fill_rows(tiles, first, last):
     """Fill the rows of the tiles from `first` to before `last`, in place. Returns whether two centres coincide.
 
-    The numbers of `contact_solver.contact_rows`, from the centres (`fill_centres`) and from what `place_block` writes;
-    without the normals of centres that coincide (`part_coinciding`).
+    The row data are those of `contact_solver.contact_rows`, from the centres (`fill_centres`) and from the data that
+    `place_block` writes. The normals of coinciding centres are left to `part_coinciding`.
     """
     body, data, centre, v = tiles.body, tiles.data, tiles.centre, tiles.solver_bodies
     none, one, half, tiny = spread(0.0), spread(1.0), spread(0.5), spread(SMALLEST_DISTANCE)
@@ -387,7 +388,7 @@ def start_tiles(tiles, first, last):
 
 @njit(cache=True)
 def pad_block(plan, tiles, k):
-    """Fill the unused lanes of a block with contacts of its idle body."""
+    """Fill the unused lanes of a block with contacts of its idle body with itself."""
     idle = plan.count[CIRCLES] + 5 * k + IDLE
     for t in range(plan.first[k], plan.first[k + 1]):
         for j in range(plan.used[t], WIDTH):
@@ -399,7 +400,7 @@ def pad_block(plan, tiles, k):
 
 @njit(cache=True)
 def fill_tiles(rows, solver_bodies, plan, tiles):
-    """Copy rows to their places, and the solver bodies. Returns the tiles, larger ones if needed."""
+    """Copy the rows to their places, and copy the solver bodies. Returns the tiles, or larger ones if needed."""
     n, tiles = plan.count[CIRCLES], with_room(plan, tiles)
     for k in range(plan.count[BLOCKS]):
         ground, (begin, end) = n + 5 * k, contacts_of_block(plan, k)
@@ -418,7 +419,7 @@ def fill_tiles(rows, solver_bodies, plan, tiles):
 
 @njit(cache=True)
 def store_block(plan, tiles, contacts, k, parts):
-    """Write the solved impulses of a block, of one of so many parts of a step, into the contacts, in place."""
+    """Write the solved impulses of a block, times the number `parts` of substeps, into the contacts, in place."""
     begin, end = contacts_of_block(plan, k)
     for i in range(begin, end):
         t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
@@ -428,7 +429,7 @@ def store_block(plan, tiles, contacts, k, parts):
 
 @njit(cache=True)
 def empty_tiles(plan, tiles, rows, solver_bodies):
-    """Copy impulses and velocities back, in place."""
+    """Copy impulses and velocities from the tiles back into rows and solver bodies, in place."""
     for i in range(plan.count[CONTACTS]):
         t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
         rows.impulse[i, NORMAL], rows.impulse[i, TANGENT] = tiles.impulse[t, NORMAL, j], tiles.impulse[t, TANGENT, j]

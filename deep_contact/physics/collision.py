@@ -1,6 +1,7 @@
-"""Collision detection: which circles touch which, and which walls (broad phase, narrow phase, matching).
+"""Collision detection: contacts between circles, and of circles with walls (broad phase, narrow phase, matching).
 
-What a function fills is handed to it, so that a run allocates its memory once. Conventions: `deep_contact.state`.
+Callers pass the arrays that a function fills, so that a run allocates its memory once. Conventions:
+`deep_contact.state`.
 """
 
 from __future__ import annotations
@@ -16,85 +17,87 @@ from deep_contact.physics.segments import hold_beside, hold_beside_moving, inser
 from deep_contact.state.arrays import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
 
 SMALLEST_DISTANCE = 5e-13
-"""Centres closer than this, in sums of their radii, have no direction between them: `parting` gives one."""
+"""Distance of two centres, over the sum of the radii, below which the normal is undefined: `parting` chooses one."""
 
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
-"""rad"""
+"""Golden angle, rad."""
 
 LEAST_NEAR = 0.1
-"""Smallest gap below which pairs are kept as near, in smallest radii."""
+"""Smallest gap limit of the list of near pairs, in smallest radii: pairs with a smaller gap are near."""
 
 MOST_NEAR = 1.0
-"""Largest such gap: a packing has few second neighbours there."""
+"""Largest gap limit, in smallest radii: in a packing, few second neighbours are nearer than this."""
 
 NEAR_BY_MOTION = 5.0
-"""Gap by the root of what circles move apart in a step, both in smallest radii. A wider one lasts for more steps, and
-takes longer to make and to read."""
+"""Gap limit over the square root of the relative displacement of circles in a step, both in smallest radii. A list with
+a larger limit lasts for more steps, and takes longer to make and to read."""
 
 LASTING = 3
-"""Steps from which on a list pays: to make one takes longer than a search, and to read it a quarter of that."""
+"""Least number of steps that a list has to last to pay: to make a list takes longer than a search, and to read it takes
+a quarter of a search."""
 
 TRY_AGAIN = 20
-"""Searches after a list that did not fit: only a heap of overlapping circles has so many near pairs."""
+"""Number of searches without a list after a list that did not fit its array, which happens only to heaps of overlapping
+circles."""
 
 CROWDED = 8
-"""Circles in the cell of a circle, on average, from which on circles are sorted into levels by their size: where one is
-large, cells are as wide as it is, and the others crowd in them."""
+"""Mean number of circles in the cell of a circle, from which on circles are sorted into size levels. Cells are as wide
+as the largest circle, so that small circles crowd in them."""
 
 LEVELS = 16
-"""Most levels of size. The last holds all circles that are left."""
+"""Largest number of size levels. The last level holds all remaining circles."""
 
 STEP = 8.0
-"""Largest radius of a level over the smallest that it holds."""
+"""Ratio of the largest to the smallest radius of a size level."""
 
 GRID = np.dtype(
     [
         ("x", float),  # of the corner, m
         ("y", float),
-        ("per_metre", float),  # cells
+        ("per_metre", float),  # cells per metre
         ("widest", float),  # largest radius, m
         ("columns", np.int64),
         ("rows", np.int64),
         ("first_cell", np.int64),
     ]
 )
-"""Where the cells of one level of size lie, and how large its circles are."""
+"""Grid of a size level: the place and the number of its cells, and its largest radius."""
 
 LIST_MEMORY = np.dtype(
     [
         ("searches", np.int64),  # since the last sorting; -1 before the first
         ("pairs", np.int64),  # in the list; -1 where there is none
         ("wait", np.int64),  # searches until a list is tried again, after one that did not fit
-        ("gap", float),  # below which a pair is near, m
+        ("gap", float),  # limit below which a pair is near, m
     ]
 )
-"""What is known of the list of near pairs."""
+"""Age and size of the list of near pairs."""
 
 
 class Walls(NamedTuple):
-    """The walls of the box, as circles meet them."""
+    """Geometry of the walls of the box."""
 
     box: tuple  # (x_min, y_min, x_max, y_max), m
     skin: float  # of walls and segments, m
 
 
 class Cells(NamedTuple):
-    """Buffers of the broad phase over n circles, and the pairs that it found near each other (Verlet's neighbour list).
+    """Buffers of the broad phase over n circles, and its list of near pairs (Verlet's neighbour list).
 
-    As long as no circle has moved by more than half of what near means, apart from the motion common to all, pairs that
-    touch are among those. A list is not made where it would not last.
+    All touching pairs are in the list as long as no circle has moved by more than half the gap limit, relative to the
+    common motion of all circles. No list is made if it would not last long enough.
     """
 
     start: np.ndarray  # (8n + 1000,): circles `order[start[c]:start[c + 1]]` are in cell c
     order: np.ndarray  # (n,): circles by level and cell, in a cell by index
-    cell: np.ndarray  # (n,): of each circle: row * columns + column in the grid of its level
+    cell: np.ndarray  # (n,): cell of each circle: row * columns + column in the grid of its level
     circle: np.ndarray  # (n, 3): x, y, radius in the order of `order`
     anchor: np.ndarray  # (n, 2): positions at the last sorting
     first: np.ndarray  # (n + 1,): circles `near[first[a]:first[a + 1]]` are near a and come after it
-    near: np.ndarray  # (8n + 40,): circles, for each a by index
+    near: np.ndarray  # (8n + 40,): near circles, for each a by index
     memory: np.ndarray  # (1,): `LIST_MEMORY`
-    level: np.ndarray  # (n,): of size of each circle: 0 holds the largest
-    grid: np.ndarray  # (16,): of a level: `GRID`
+    level: np.ndarray  # (n,): size level of each circle; level 0 holds the largest
+    grid: np.ndarray  # (16,): `GRID` of each level
 
 
 def make_cells(n):
@@ -109,7 +112,7 @@ def make_cells(n):
 
 
 def make_contacts(m):
-    """A buffer of m contacts. Nothing is written into it: memory that is not touched costs nothing."""
+    """A buffer of m contacts, uninitialised: memory that is never written costs nothing."""
     return Contacts(
         np.empty(m, np.int64), np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2)), np.empty(m),
         np.empty(m), np.empty(m), np.empty(m), np.empty(m),
@@ -117,12 +120,12 @@ def make_contacts(m):
 
 
 more_contacts = njit(cache=True)(make_contacts)
-"""`make_contacts` for compiled callers; Python needs no compiler for it."""
+"""`make_contacts` for compiled callers; Python callers use the plain function, which needs no compilation."""
 
 
 @njit(cache=True)
 def some_contacts(buffer, i, j):
-    """The contacts from the i-th to before the j-th, as views."""
+    """Contacts i to j − 1 of a buffer, as views."""
     return Contacts(
         buffer.body_a[i:j], buffer.body_b[i:j], buffer.position[i:j], buffer.normal[i:j], buffer.separation[i:j],
         buffer.normal_impulse[i:j], buffer.tangent_impulse[i:j], buffer.normal_start[i:j], buffer.tangent_start[i:j],
@@ -131,9 +134,9 @@ def some_contacts(buffer, i, j):
 
 @njit(cache=True, error_model="numpy")
 def refresh_list(position, radius, cells, ahead):
-    """Find the pairs that `cells` remembers anew where they are stale and that pays; whether it has a list then.
+    """Make the list of near pairs in `cells` anew if it is out of date and a new list pays. Returns whether it exists.
 
-    ahead: m; the list has the pairs that are no farther apart than this, and more.
+    ahead: gap, m, up to which the list has all pairs.
     """
     n, memory, x, y, apart = position.shape[0], cells.memory[0], 0.0, 0.0, math.inf
     half = 0.49 * (memory["gap"] - ahead)
@@ -165,7 +168,7 @@ def refresh_list(position, radius, cells, ahead):
 
 @njit(cache=True)
 def remember(position, gap, cells):
-    """Note where the circles are, and that there is no list of pairs closer than the gap, m."""
+    """Record the positions of the circles and the gap limit, m, and that there is no list for them."""
     for i in range(position.shape[0]):
         cells.anchor[i, 0], cells.anchor[i, 1] = position[i, 0], position[i, 1]
     memory = cells.memory[0]
@@ -174,7 +177,10 @@ def remember(position, gap, cells):
 
 @njit(cache=True)
 def moves_within(position, anchor, x, y, distance):
-    """Whether every circle is within this distance of (x, y) from where it was, m. One without a position is not."""
+    """Whether the displacement of every circle from its anchor differs from (x, y) by at most the distance, m.
+
+    It is False if a position is not a number.
+    """
     within, square = distance >= 0.0, distance * distance
     for i in range(position.shape[0]):
         dx, dy = position[i, 0] - anchor[i, 0] - x, position[i, 1] - anchor[i, 1] - y
@@ -184,7 +190,7 @@ def moves_within(position, anchor, x, y, distance):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def common_motion(position, anchor):
-    """(x, y, apart): the middle of what circles have moved, and no less than what any two have moved apart, m."""
+    """(x, y, apart): the middle of the circles' displacements, and an upper bound of their differences, m."""
     x_min = x_max = position[0, 0] - anchor[0, 0]
     y_min = y_max = position[0, 1] - anchor[0, 1]
     for i in range(position.shape[0]):
@@ -205,7 +211,7 @@ def sum_of(rows):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def smallest_of(values):
-    """The least of some numbers. With these flags several are compared at a time."""
+    """The least of some numbers. With these fast-math flags the loop vectorises."""
     smallest = values[0]
     for i in range(values.shape[0]):
         smallest = min(smallest, values[i])
@@ -214,15 +220,15 @@ def smallest_of(values):
 
 @njit(cache=True, error_model="numpy")
 def sort_into_cells(position, radius, gap, cells):
-    """Broad phase: sort the circles into cells (`sort_level`). Fills `cells`. Returns the number of levels of size.
+    """Broad phase: sort the circles into cells (`sort_level`). Fills `cells`. Returns the number of size levels.
 
-    position: (n, 2), m. radius: (n,), m. gap: m. There is one level for all circles, unless they crowd in the cells of
-    the largest.
+    position: (n, 2), m. radius: (n,), m. gap: largest gap of the pairs to be found, m. All circles share one level,
+    unless small circles crowd in the cells of the largest.
     """
     cells.level[:] = 0
     levels, last = 0, 1
     while levels < last:
-        # Zeros with a type: a literal one would be a type of its own, and compiled as well.
+        # Typed zeros: a literal 0 has a type of its own, for which `sort_level` would be compiled once more.
         levels, cell, circle = last, np.int64(0), np.int64(0)
         for number in range(levels):
             cell, circle = sort_level(number, position, radius, gap, cell, circle, cells)
@@ -235,8 +241,9 @@ def sort_into_cells(position, radius, gap, cells):
 def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
     """Counting sort of the circles of one level into square cells at least one diameter and a gap wide.
 
-    Fills `grid`, and `start` and `order` from a cell and a circle on; returns the ones after the last. The grid covers
-    the centres. Cells are wider where there would be more than about four of them per circle.
+    Fills `grid` of the level, and `start` and `order` from the first cell and the first circle on. Returns the cell and
+    the circle after the last. The grid covers the centres. Cells are wider if there would be more than about four of
+    them per circle.
     """
     n, level, grid = position.shape[0], cells.level, cells.grid[number]
     x_min = y_min = math.inf
@@ -249,7 +256,7 @@ def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
             x_min, x_max = min(x_min, position[i, 0]), max(x_max, position[i, 0])
             y_min, y_max = min(y_min, position[i, 1]), max(y_max, position[i, 1])
     if inside == 0:
-        grid["columns"] = 0  # no cells: those of an earlier search are not looked into
+        grid["columns"] = 0  # no cells: those of an earlier search are not read
         return first_cell, first_circle
     high, wide = y_max - y_min, x_max - x_min
     width = max(2.0 * widest + gap, math.sqrt(wide * high / (4.0 * inside + 16.0)))
@@ -281,7 +288,7 @@ def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
 
 @njit(cache=True)
 def is_crowded(cells, n, count):
-    """Whether so many of the first cells are so full that levels of size pay."""
+    """Whether the first cells are so full that size levels pay. n: number of circles. count: number of these cells."""
     in_cells_of_all = 0
     for c in range(count - 1):
         inside = cells.start[c + 1] - cells.start[c]
@@ -291,7 +298,7 @@ def is_crowded(cells, n, count):
 
 @njit(cache=True, error_model="numpy")
 def choose_levels(radius, level):
-    """Fill the level of each circle by its size. Returns the number of levels; 1 where sizes are alike."""
+    """Fill the level of each circle by its size. Returns the number of levels, which is 1 if the radii are similar."""
     largest, smallest = radius[0], radius[0]
     for i in range(radius.shape[0]):
         largest, smallest = max(largest, radius[i]), min(smallest, radius[i])
@@ -311,9 +318,10 @@ TOUCHING = NEARLY**2
 
 @njit(inline="always")
 def circles_around(a, position, reach, levels, cells, found, m):
-    """Write the circles after a, by index, within reach and their own radius, m, of its centre into `found` from m on.
+    """Write circles with an index above a into `found`, from place m on, sorted: those near the centre of circle a.
 
-    Returns m after them, or -1 if they may not fit.
+    A circle is near if its centre is within `reach` plus its own radius, m. Returns the place after the last, or -1 if
+    the circles may not fit.
     """
     x, y, first = position[a, 0], position[a, 1], np.int64(m)
     circle, order = cells.circle, cells.order
@@ -335,7 +343,7 @@ def circles_around(a, position, reach, levels, cells, found, m):
                 continue
             for k in range(start, stop):
                 d_x, d_y, within = circle[k, 0] - x, circle[k, 1] - y, circle[k, 2] + reach
-                # Written always and kept if it is near: cheaper than a branch nobody can predict.
+                # Written always and kept if it is near: cheaper than a branch that cannot be predicted.
                 found[m] = order[k]
                 m += (d_x * d_x + d_y * d_y <= TOUCHING * within * within) & (order[k] > a)
     if m >= 0:
@@ -345,7 +353,7 @@ def circles_around(a, position, reach, levels, cells, found, m):
 
 @njit(cache=True, error_model="numpy")
 def find_near(position, radius, gap, cells):
-    """Fill the list of pairs no farther apart than the gap, m. Without a list if the pairs do not fit."""
+    """Fill the list with the pairs whose gap is at most `gap`, m. If the pairs do not fit, there is no list."""
     n, m = position.shape[0], np.int64(0)
     levels = sort_into_cells(position, radius, gap, cells)
     remember(position, gap, cells)
@@ -359,16 +367,16 @@ def find_near(position, radius, gap, cells):
 
 @njit(cache=True, error_model="numpy")
 def write_pairs(position, radius, walls, cells, body_a, body_b):
-    """Narrow phase's test: all touching pairs, sorted by (body_a, body_b), into `body_a` and `body_b`.
+    """Test of the narrow phase: write all touching pairs, sorted by (body_a, body_b), into `body_a` and `body_b`.
 
-    position: (n, 2), m. radius: (n,), m. walls: `Walls`. body_b is a circle, or n + wall. cells: `Cells`, that
-    `refresh_list` has seen at these positions; if they have a list, it saves work and changes no pair. Returns the
-    number of pairs, or -1 if they do not fit.
+    position: (n, 2), m. radius: (n,), m. walls: `Walls`. body_b is a circle, or n + wall. cells: `Cells`, after
+    `refresh_list` at these positions; a list saves work and changes no pair. Returns the number of pairs, or -1 if they
+    do not fit.
     """
     n, m = position.shape[0], np.int64(0)
     if cells.memory[0]["pairs"] >= 0:
         return write_near_pairs(position, radius, walls, cells, body_a, body_b)
-    # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
+    # A position that is not finite has no cell, and would be written outside of the arrays. The run raises an error.
     if n == 0 or not math.isfinite(sum_of(position)):
         return 0
     levels = sort_into_cells(position, radius, 0.0, cells)
@@ -384,10 +392,10 @@ def write_pairs(position, radius, walls, cells, body_a, body_b):
 
 @njit(cache=True, error_model="numpy")
 def write_near_pairs(position, radius, walls, cells, body_a, body_b):
-    """`write_pairs` from the list of those that were near.
+    """`write_pairs` from the list of near pairs.
 
-    Every pair is written, and the next one over it if it does not touch: no branch that cannot be predicted. For
-    indices without a sign see `batches.choose_batches`.
+    Every pair is written, and overwritten by the next pair if it does not touch, which avoids a branch that cannot be
+    predicted. On unsigned indices see `batches.choose_batches`.
     """
     n = position.shape[0]
     first, near, m = cells.first, cells.near, np.int64(0)
@@ -412,7 +420,7 @@ def write_near_pairs(position, radius, walls, cells, body_a, body_b):
 
 @njit(cache=True)
 def write_walls(x, y, reach, box, n, body_b, m):
-    """Write the walls that a centre is within reach of, m, from m on. Returns what m is then."""
+    """Write the walls within `reach`, m, of the centre (x, y) from place m on. Returns the place after the last."""
     reach *= NEARLY
     for wall, gap in enumerate((y - box[1], box[2] - x, box[3] - y, x - box[0])):
         if gap <= reach:
@@ -440,10 +448,10 @@ def _sort_run(values, start, stop):
 
 @njit(cache=True, error_model="numpy")
 def find_contacts(position, radius, mass, walls, segments, cells, buffer):
-    """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
+    """All contacts at these positions, sorted by (body_a, body_b); their impulses and starts are not initialised.
 
     position: (n, 2), m. radius: (n,), m. mass: (n,), kg; None where no circle is fixed. walls: `Walls`. segments:
-    `Segments`. cells, buffer: memory to use. Returns views of the buffer, or of a larger one.
+    `Segments`. cells, buffer: work arrays. Returns views of the buffer, or of a larger one.
     """
     refresh_list(position, radius, cells, 0.0)
     contacts = find_pairs(position, radius, mass, walls, segments, cells, buffer)
@@ -468,7 +476,7 @@ def find_pairs(position, radius, mass, walls, segments, cells, buffer):
 
 @njit(cache=True)
 def without_fixed(body_a, body_b, mass, m):
-    """Drop the pairs of bodies that do not yield from the first m, in place. Returns the number of those that stay.
+    """Drop the pairs without a free circle from the first m pairs, in place. Returns the number of the other pairs.
 
     mass: None where no circle is fixed.
     """
@@ -486,7 +494,7 @@ def without_fixed(body_a, body_b, mass, m):
 def write_geometry(position, radius, walls, segments, contacts, least):
     """Narrow phase: normal, separation and point (the middle of the overlap) of contacts, in place.
 
-    least: the least body b of those to write: 0 for all of them, n for walls and segments.
+    least: contacts with a smaller body_b are left out: 0 writes all contacts, n those with walls and segments.
     """
     n = position.shape[0]
     for i in range(contacts.body_a.shape[0]):
@@ -519,10 +527,11 @@ def write_geometry(position, radius, walls, segments, contacts, least):
 
 @njit(cache=True, error_model="numpy")
 def parting(a, b):
-    """Unit normal from circle a to circle b where their centres coincide: as if i lay at √i on the golden spiral.
+    """Unit normal from circle a to circle b if their centres coincide: as if circle i lay at √i on the golden spiral.
 
-    A heap in one place parts as a disc, then, and no two of its circles in one direction (H. Vogel 1979, A better way
-    to construct the sunflower head, Mathematical Biosciences 44). Circles 0 and 1 part along +x, as in Box2D.
+    A heap of circles in one place then separates as a disc, and no two circles in one direction (H. Vogel 1979, A
+    better way to construct the sunflower head, Mathematical Biosciences 44). Circles 0 and 1 separate along +x, as in
+    Box2D.
     """
     x_a, y_a = math.sqrt(a) * math.cos((a - 1) * GOLDEN_ANGLE), math.sqrt(a) * math.sin((a - 1) * GOLDEN_ANGLE)
     x_b, y_b = math.sqrt(b) * math.cos((b - 1) * GOLDEN_ANGLE), math.sqrt(b) * math.sin((b - 1) * GOLDEN_ANGLE)
@@ -546,14 +555,14 @@ def wall_gap(x, y, box, wall):
 def carry_impulses(old, contacts, warm):
     """Built-in warm starting: give every contact, in place, the impulses its pair of bodies had a step before.
 
-    old: the contacts of the step before with their solved impulses. contacts: those of the next step; starts and
-    impulses are written, 0 where the pair is new, and starts of 0 without `warm`. Both are sorted, so one walk along
-    both finds all matches.
+    old: the contacts of the step before with their solved impulses. contacts: those of the next step, whose starts and
+    impulses are written: 0 for new pairs, and starts of 0 for all pairs without `warm`. Both lists are sorted, so one
+    pass over them finds all matches.
     """
     j, last = 0, old.body_a.shape[0]
     for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
-        # Most contacts follow in the new list on what they followed in the old: a branch that is predicted.
+        # Most contacts have the same predecessor in both lists, so this branch is predicted well.
         if j >= last or old.body_a[j] != a or old.body_b[j] != b:
             while j < last and (old.body_a[j] < a or (old.body_a[j] == a and old.body_b[j] < b)):
                 j += 1
@@ -579,10 +588,10 @@ def any_outside(position, box):
 
 @njit(cache=True)
 def hold_inside(bodies, walls, solved):
-    """Put centres that have left the box in this step, in place, half a radius inside: the wall wins over the others.
+    """Clamp centres that have left the box in this step to half a radius inside of it, in place: walls win.
 
-    Only what is pressed harder than the sweeps or position correction can withstand comes so far. solved: the step's
-    contacts; a centre that was outside of a wall before has a contact there, and comes back by that.
+    A centre leaves the box only if it is pressed harder than the sweeps and position correction can withstand. solved:
+    contacts of the step. A centre that was outside of a wall before has a contact with it, which brings it back.
     """
     n = bodies.mass.shape[0]
     was_outside = np.zeros((n, 4), np.bool_)
@@ -601,10 +610,11 @@ def hold_inside(bodies, walls, solved):
 
 @njit(cache=True)
 def hold(bodies, before, walls, segments, solved, drive, dt):
-    """`hold_inside` and `hold_beside`, where they are needed. Returns a circle that a moving segment passes, or −1.
+    """Clamp centres to the inside of the box and to their side of segments, in place (`hold_inside`, `hold_beside`).
 
-    before: where the bodies were, (n, 2), m; read only where there are segments (`positions_before`). solved: the
-    contacts there. drive: of a step of dt, s, in which segments moved.
+    before: positions at the start of the substep, (n, 2), m; read only if there are segments (`positions_before`).
+    solved: contacts at those positions. drive: `Drive` of the substep, or None. dt: Δt of the substep, s.
+    Returns a circle over which a moving segment passes, or −1.
     """
     passed = np.int64(-1)
     if any_outside(bodies.position, walls.box):
@@ -613,7 +623,8 @@ def hold(bodies, before, walls, segments, solved, drive, dt):
         if segments.line.shape[0] > 0 and may_cross(bodies, before, solved):
             hold_beside(bodies, before, segments, drive)
     if drive is not None:
-        # What rests comes last: it wins over what moves. Half of a way inside of the box ends inside of it.
+        # Resting bodies come last, so that they win over moving ones. `hold_beside` puts a centre between two points of
+        # the box, and so into the box.
         changed, passed = hold_beside_moving(bodies, before, segments, solved, drive, dt)
         if any_outside(bodies.position, walls.box):
             hold_inside(bodies, walls, solved)
@@ -625,7 +636,7 @@ def hold(bodies, before, walls, segments, solved, drive, dt):
 
 @njit(cache=True)
 def mass_if_fixed(bodies, drive):
-    """The masses where circles may be fixed: in a scene with a drive; None elsewhere."""
+    """The masses if circles may be fixed, that is, in a scene with actuation; otherwise None."""
     if drive is None:
         return None
     return bodies.mass

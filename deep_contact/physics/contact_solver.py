@@ -7,12 +7,12 @@ turns nothing, an arm is one number instead of a vector, and the two rows of a c
 With the arm l of a body of radius r, its surface moves tangentially at ω l = (l / r) s, where s = ω r is kept in
 place of ω: for a disc (I = m r² / 2) an impulse λ_t changes s by 2 (l / r) λ_t / m, whatever its radius.
 
-Without friction nothing turns: where `friction` is None instead of a number, every stage here leaves the tangent rows
-out. None is a type of its own, so the choice falls when the caller is compiled, and changes no bit of what μ = 0 gives;
-a start with tangent impulses needs the general rows.
+Without friction no impulse turns a circle: if `friction` is None instead of a number, every function here leaves the
+tangent rows out. None is a type of its own, so the choice is made when the caller is compiled, and the result has the
+same bits as with μ = 0. A start with tangent impulses needs the general rows.
 
-A contact is relaxed by numbers here (`sweep`), eight contacts at a time in `solvers.batched.sweep_tiles`, and
-backwards, for the gradient of what sweeps leave, in `cnn.through_solver`.
+A contact is relaxed in scalar arithmetic here (`sweep`), eight contacts at a time in `solvers.batched.sweep_tiles`, and
+backwards in `cnn.through_solver`, for the gradient of the error that sweeps leave.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ from deep_contact.state.scales import FASTEST
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
 """Columns of the solver bodies, (n + 4, 4): velocity of the centre, s = ω r (m/s each), 1 / m (1/kg).
 
-The last four rows are the walls: at rest, with an inverse mass of 0. Segments share the last one, whose s is 1 where
-surfaces move: with the speed of its surface as the arm of a contact, a segment drags (`move_surfaces`). Behind them,
-each contact with a segment that moves has a row of its own, with the velocity of the segment there (`move_walls`).
+The last four rows are the walls: at rest, with an inverse mass of 0. Segments share the last of these rows. Its s is 1
+if surfaces move: with the speed of its surface as the arm of the contact, a segment drags (`move_surfaces`). Further
+rows follow if segments move: one for each contact with a moving segment, with the segment's velocity there
+(`move_walls`).
 """
 
 BODY_A, BODY_B = range(2)
@@ -50,8 +51,8 @@ class Rows(NamedTuple):
     """The rows of m contacts. All numbers of one contact lie side by side, so that a sweep reads memory in order."""
 
     body: np.ndarray  # (m, 2): rows of the solver bodies: `BODY_A`, `BODY_B`
-    data: np.ndarray  # (m, 6), (m, 3): `N_X` … `ARM_B`; without friction … `NORMAL_MASS`
-    impulse: np.ndarray  # (m, 2), (m, 1): λ_n and λ_t, N·s: `NORMAL`, `TANGENT`
+    data: np.ndarray  # (m, 6): `N_X` to `ARM_B`; without friction (m, 3): `N_X` to `NORMAL_MASS`
+    impulse: np.ndarray  # (m, 2): λ_n and λ_t, N·s: `NORMAL`, `TANGENT`; without friction (m, 1): λ_n
 
 
 CONTRACT = {"contract"}
@@ -73,9 +74,9 @@ more_rows = njit(cache=True)(make_rows)
 
 @njit(cache=True, error_model="numpy")
 def integrate_velocities(bodies, gravity, dt, solver_bodies, drive):
-    """Fill the solver bodies, (n + 4, 4), with the velocities after Δt of gravity (v + Δt M⁻¹ F of Eq 2.27).
+    """Fill the solver bodies, (n + 4, 4), with the velocities after Δt of gravity and pushes (v + Δt M⁻¹ F, Eq 2.27).
 
-    drive: of the step, whose pushes act as well.
+    drive: `Drive` of the step, or None.
     """
     n = bodies.mass.shape[0]
     for i in range(n):
@@ -96,7 +97,7 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies, drive):
 
 @njit(inline="always")
 def room_for_walls(solver_bodies, contacts, n, drive):
-    """Solver bodies with a row for each contact with a segment that moves: these, or new ones if they are too few."""
+    """Solver bodies with a row for each contact with a moving segment: the same array, or a larger one if needed."""
     if drive is None:
         return solver_bodies
     more = 0
@@ -108,9 +109,9 @@ def room_for_walls(solver_bodies, contacts, n, drive):
 
 @njit(cache=True, error_model="numpy")
 def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, share):
-    """Rows of the contacts with a share of their starting impulses: views of the buffer, or of new memory if too small.
+    """Rows of the contacts, with their starting impulses times `share`: views of the buffer, or of a larger one.
 
-    Effective masses: 1 / (J M⁻¹ Jᵀ). radius: (n,), m. segments: `Segments`. `move_walls` follows where segments move.
+    Effective masses are 1 / (J M⁻¹ Jᵀ). radius: (n,), m. segments: `Segments`. If segments move, `move_walls` follows.
     """
     v, m, last = solver_bodies, contacts.body_a.shape[0], radius.shape[0] + 3
     if m > buffer.body.shape[0]:
@@ -146,23 +147,23 @@ def relative_velocity(rows, v, i):
 
 @njit(cache=True, error_model="numpy")
 def arms_of(radius, a, b, separation):
-    """Arms of a contact over the radii of its circles, (n,), m; 0 for a wall. separation: m."""
+    """Arms of a contact over the radii of its bodies; 0 for a wall or segment. radius: (n,), m. separation: m."""
     arm_b = 1.0 + 0.5 * separation / radius[b] if b < radius.shape[0] else 0.0
     return 1.0 + 0.5 * separation / radius[a], arm_b
 
 
 @njit(cache=True, error_model="numpy")
 def effective_masses(w_a, w_b, arms):
-    """Of the normal and of the tangent row, kg. w_a, w_b: inverse masses, 1/kg. arms: over radii (`arms_of`)."""
+    """Effective masses of the normal and the tangent row, kg. w_a, w_b: inverse masses, 1/kg. arms: of `arms_of`."""
     arm_a, arm_b = arms
     return 1.0 / (w_a + w_b), 1.0 / (w_a + w_b + 2.0 * (arm_a * arm_a * w_a + arm_b * arm_b * w_b))
 
 
 @njit(cache=True)
 def move_surfaces(contacts, segments, solver_bodies, rows, last):
-    """Let the surfaces of segments move, in place on rows with tangents and on the solver bodies.
+    """Write the speeds of the segments' surfaces into rows with tangents and into the solver bodies, in place.
 
-    last: solver body of the segments.
+    last: row of the solver bodies that the segments share.
     """
     if segments.line.shape[0] == 0:
         return
@@ -175,7 +176,7 @@ def move_surfaces(contacts, segments, solver_bodies, rows, last):
 
 @njit(cache=True, error_model="numpy")
 def move_walls(contacts, segments, solver_bodies, rows, n, drive):
-    """Give each contact with a segment that moves a solver body of its own, in place. n: circles. drive: the step's."""
+    """Give each contact with a moving segment a solver body of its own, in place. n: number of circles."""
     row = last = n + 3
     for i in range(contacts.body_a.shape[0]):
         s = contacts.body_b[i] - last - 1
@@ -188,7 +189,7 @@ def move_walls(contacts, segments, solver_bodies, rows, n, drive):
 
 @njit(cache=True)
 def apply_impulses(rows, solver_bodies, friction):
-    """Give the velocities, in place, the impulses that the rows start from: v ← v + M⁻¹ Jᵀ λ."""
+    """Apply the impulses that the rows start from to the velocities, in place: v ← v + M⁻¹ Jᵀ λ."""
     arms, p_t = (0.0, 0.0), 0.0
     for i in range(rows.body.shape[0]):
         normal, p_n = (rows.data[i, N_X], rows.data[i, N_Y]), rows.impulse[i, NORMAL]
@@ -199,7 +200,7 @@ def apply_impulses(rows, solver_bodies, friction):
 
 @njit(cache=True)
 def apply_impulse(v, a, b, normal, arms, impulse):
-    """Give two solver bodies, in place, an impulse (λ_n, λ_t), N·s. arms: over radii."""
+    """Apply an impulse (λ_n, λ_t), N·s, to two solver bodies, in place. arms: over radii."""
     (n_x, n_y), (p_n, p_t) = normal, impulse
     p_x = p_n * n_x + p_t * n_y
     p_y = p_n * n_y - p_t * n_x
@@ -235,7 +236,7 @@ def sweep(rows, friction, solver_bodies):
         b_x, b_y, w_b = v[b, V_X], v[b, V_Y], v[b, INVERSE_MASS]
         n_x, n_y, k_n, old_n = data[i, N_X], data[i, N_Y], data[i, NORMAL_MASS], impulse[i, NORMAL]
 
-        # The change −k (v_b − v_a)·n, cut to what keeps λ admissible. What a contributes comes last, and λ is added
+        # The change −k (v_b − v_a)·n, cut so that λ stays admissible. The contribution of a comes last, and λ is added
         # outside of the chain of operations that the next contact waits for.
         x_n, y_n = k_n * n_x, k_n * n_y
         free_n = 0.0 - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
@@ -243,7 +244,7 @@ def sweep(rows, friction, solver_bodies):
         largest = abs(p_n)
         impulse[i, NORMAL] = old_n + p_n
         if friction is not None:
-            # Likewise along t = (n_y, −n_x).
+            # The change along t = (n_y, −n_x), cut to Coulomb's bounds.
             b_s, k_t, arm_a, arm_b = v[b, V_S], data[i, TANGENT_MASS], data[i, ARM_A], data[i, ARM_B]
             old_t, bound = impulse[i, TANGENT], friction * max(old_n, 0.0)
             x_t, y_t = k_t * n_y, k_t * n_x
@@ -271,7 +272,7 @@ def sweep(rows, friction, solver_bodies):
 
 @njit(cache=True)
 def store_impulses(rows, contacts, parts):
-    """Write the solved impulses of one of so many parts of a step into the contacts, in place."""
+    """Write the solved impulses of a substep, times the number `parts` of substeps, into the contacts, in place."""
     last = rows.impulse.shape[1] - 1
     for i in range(rows.body.shape[0]):
         contacts.normal_impulse[i] = parts * rows.impulse[i, NORMAL]
@@ -280,12 +281,12 @@ def store_impulses(rows, contacts, parts):
 
 @njit(cache=True, error_model="numpy")
 def integrate_positions(bodies, solver_bodies, step, segments, drive, shifts):
-    """Give the bodies, in place, the solved velocities, and move them by those for Δt (symplectic Euler).
+    """Write the solved velocities into the bodies and move them for Δt, in place (symplectic Euler).
 
-    A displacement is cut to the largest translation, m, and a rotation with it (`cut_motion`). Fast circles push on
-    what they meet (`continuous`). step: `StepInput`. segments: where they are at the end of it. drive: its own. shifts:
-    of `StepLog`.
-    Returns whether the bodies have moved: not where segments are None and a circle is fast, for which there is no code.
+    Displacements and rotations are limited (`cut_motion`). Fast circles push on what they meet (`continuous`). step:
+    `StepInput`. segments: at the end of the step. drive: `Drive` of the step, or None. shifts: of `StepLog`.
+    Returns whether the bodies have moved. They have not if segments are None and a circle is fast, because the code for
+    continuous collision is then missing.
     """
     if segments is None:
         if any_fast(solver_bodies, bodies.radius, step.dt):
@@ -300,7 +301,7 @@ def integrate_positions(bodies, solver_bodies, step, segments, drive, shifts):
 
 @njit(cache=True, error_model="numpy")
 def move(bodies, solver_bodies, dt, max_translation):
-    """`integrate_positions` without what fast circles meet. Returns whether there is one."""
+    """`integrate_positions` without continuous collision. Returns whether a circle is fast."""
     position, velocity, angle, spin = bodies.position, bodies.velocity, bodies.angle, bodies.spin
     farthest = widest = 0.0
     # Loops without branches, so that several circles are moved at a time.
@@ -319,9 +320,10 @@ def move(bodies, solver_bodies, dt, max_translation):
 
 @njit(cache=True, error_model="numpy")
 def cut_motion(velocity, spin, dt, max_translation):
-    """Cut velocities and spins, in place, to the largest translation within Δt, m, and the largest rotation.
+    """Limit velocities and spins, in place, to the largest translation within Δt, m, and the largest rotation.
 
-    That is `MAX_ROTATION` where the scene has the fixed scales of Box2D; a disc may turn as fast as it likes.
+    The largest rotation is `MAX_ROTATION` if the scene has the fixed scales of Box2D. Otherwise only `FASTEST` limits
+    the spin.
     """
     max_rotation = MAX_ROTATION if max_translation < dt * FASTEST else dt * FASTEST
     for i in range(spin.shape[0]):
@@ -337,9 +339,9 @@ def cut_motion(velocity, spin, dt, max_translation):
 def best_share(rows, solver_bodies):
     """α = clip(−b·λ / λ·A λ, 0, 1) for the impulses λ of the rows; 1 where these change no velocity.
 
-    α λ has the least energy ½ α² λ·A λ + α b·λ, with A = J M⁻¹ Jᵀ and b = J v⁻. rows: `Rows` with
-    tangents. solver_bodies: velocities v⁻ before impulses, (N, 4). One pass over the contacts, for λ·A λ is the
-    kinetic energy, times 2, of what λ does to the bodies: Σ m |Δv|² + ½ m Δs², s = ω r.
+    α λ has the least energy ½ α² λ·A λ + α b·λ, with A = J M⁻¹ Jᵀ and b = J v⁻. One pass over the contacts is enough,
+    because λ·A λ is twice the kinetic energy of the velocity changes by λ: Σ m |Δv|² + ½ m Δs², s = ω r. rows: `Rows`
+    with tangents. solver_bodies: velocities v⁻ before impulses, (N, 4).
     """
     v = solver_bodies
     change = np.zeros((v.shape[0], 3))
@@ -368,6 +370,6 @@ def best_share(rows, solver_bodies):
 
 
 def projected(normal: np.ndarray, tangent: np.ndarray, friction) -> tuple[np.ndarray, np.ndarray]:
-    """Impulses (m,) cut to the friction cone, as a sweep would. friction: one number, or one a contact."""
+    """Impulses, (m,) each, cut to the friction cone as in a sweep. friction: one number, or one number a contact."""
     p_n = np.maximum(normal, 0.0)
     return p_n, np.clip(tangent, -friction * p_n, friction * p_n).astype(tangent.dtype, copy=False)

@@ -1,24 +1,26 @@
-"""Continuous collision: what moves far in one step pushes on what it meets, in the order of time.
+"""Continuous collision: circles that move far in one step push on the bodies that they meet, in the order of time.
 
-A contact is found where circles touch at the end of a step. A circle that moves by more than its radius can pass
-through another, or leave the box, between two ends. So paths of circles that are fast are followed through the step.
-Each is made of straight pieces, each with its own rate, in metres a step, at first Δt v. A *touch* is half a slop of
-overlap, or the distance at the begin of the step where that is smaller. With n the unit normal from a to b, and
-a = (u_a − u_b) · n the rate at which a pair comes nearer,
+Contacts are found between circles that touch at the end of a step. A circle that moves by more than its radius can pass
+through another circle, or leave the box, between the ends of two steps. The paths of fast circles are therefore
+followed through the step. A path consists of straight pieces, each with its own rate, in metres a step; the first rate
+is Δt v. A *touch* is an overlap of half a slop, or the distance at the start of the step if that is smaller. With n the
+unit normal from a to b, and a = (u_a − u_b) · n the rate at which a pair comes nearer,
 
     u_a ← u_a − s n / m_a,  u_b ← u_b + s n / m_b,  s = a / (1 / m_a + 1 / m_b):
 
-both go on with their common rate along n, and each keeps its own along the tangent, as if their impact were plastic.
-Velocities stay as they were solved: the next step finds the contact, and solves it. So the centre of mass goes on as it
-would have, and all that counts are relative motions: what happens is the same in every frame that moves evenly.
+both circles go on with their common rate along n, and each keeps its own rate along the tangent, as in a plastic
+impact. Velocities stay as they were solved: the next step finds the contact, and solves it. The centre of mass moves as
+it would have without the touch, and only relative motions count, so that the result is the same in every inertial
+frame.
 
-A wall, a segment and a fixed circle have an infinite mass. A circle that has met one is *held*: what pushes it against
-that only lets it slide along, and where nothing is left to slide it has an infinite mass, and holds what pushes. It is
-*firm* if what holds it rests. Of two that are held against each other the less firm one yields all the same, and what
-moves on into a circle that is firm passes over it.
+A wall, a segment and a fixed circle have an infinite mass. A circle that has met one of them is *held* by it: a push
+towards that body only lets the circle slide along it. If no direction is left in which to slide, the circle has an
+infinite mass, and holds the circle that pushes. A held circle is *firm* if the body that holds it rests. Of two circles
+that are held against each other, the less firm one yields nevertheless. A moving segment or fixed circle that runs into
+a firm circle passes over it.
 
-Slow approaches are left to the contacts (`PAIRS`, `HELD`). Touches of one time are made together, and share
-the masses of their circles among them, so that no order is preferred. (Box2D 2.3 stops circles at walls and bullets,
+Slow approaches are left to the contacts (`PAIRS`, `HELD`). Simultaneous touches are handled together, and share the
+masses of their circles among them, so that no order is preferred. (Box2D 2.3 stops circles at walls and bullets,
 `b2World::SolveTOI`, which loses the rest of their step.)
 """
 
@@ -53,37 +55,37 @@ PAIRS = 0.5
 """A pair of circles touches only where it approaches by more than this share of the smaller radius in a step."""
 
 HELD = 0.01
-"""The same share where one of them is held, and for walls and segments."""
+"""The share in place of `PAIRS` if one of the two circles is held, and for walls and segments."""
 
 FREE, CARRIED, FIRM = range(3)
-"""How a circle is held: not; by something that moves; by something that rests."""
+"""Values of `Paths.held`: not held; held by a moving body; held by a body at rest."""
 
 BLOCKED = 0.999
-"""Cosine of the angle between a push and what holds a circle from which on the circle does not yield."""
+"""Cosine of the angle between a push and the direction to the holding body, from which on the circle does not yield."""
 
 TOGETHER = 1e-9
-"""Touches count as simultaneous if they are no farther apart than this, in steps."""
+"""Largest difference of the times of simultaneous touches, in steps."""
 
 MOST_TOUCHES = 200
-"""Most touches of a circle in a step. What approaches after them is left to the contacts of the next step."""
+"""Largest number of touches of a circle in a step. Later approaches are left to the contacts of the next step."""
 
 
 class Paths(NamedTuple):
-    """The last pieces of the paths of n circles, and what they may meet. Times are in steps.
+    """The last pieces of the paths of n circles, and the box and segments of the step. Times are in steps.
 
     | field    | meaning                                                  | shape  | unit |
     |----------|----------------------------------------------------------|--------|------|
-    | start    | places at the begin of the step                          | (n, 2) | m    |
-    | place    | where the piece begins                                   | (n, 2) | m    |
-    | since    | when it begins                                           | (n,)   | –    |
-    | rate     | way in a whole step                                      | (n, 2) | m    |
+    | start    | centre at the start of the step                          | (n, 2) | m    |
+    | place    | centre at the start of the piece                         | (n, 2) | m    |
+    | since    | time at the start of the piece                           | (n,)   | –    |
+    | rate     | displacement in a whole step                             | (n, 2) | m    |
     | inverse  | inverse mass                                             | (n,)   | 1/kg |
     | held     | `FREE`, `CARRIED` or `FIRM`                              | (n,)   | –    |
-    | block    | unit vector to what holds it                             | (n, 2) | –    |
-    | touches  | how often the path has changed                           | (n,)   | –    |
-    | radius   |                                                          | (n,)   | m    |
+    | block    | unit vector to the body that holds the circle            | (n, 2) | –    |
+    | touches  | number of changes of the path                            | (n,)   | –    |
+    | radius   | radius                                                   | (n,)   | m    |
 
-    box, segments, scales: of the step; the segments are where they are at its end.
+    box, segments, scales: of the step; the segments are at their positions at its end.
     """
 
     start: np.ndarray
@@ -102,14 +104,14 @@ class Paths(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def any_fast(solver_bodies, radius, dt):
-    """Whether a circle is fast with these velocities, relative to what rests or to the others."""
+    """Whether a circle is fast with these velocities, relative to bodies at rest or to the other circles."""
     n, far = radius.shape[0], False
     least = 0.5 * PAIRS * smallest_of(radius) / dt
     for i in range(n):
         v_x, v_y = solver_bodies[i, 0], solver_bodies[i, 1]
         far |= v_x * v_x + v_y * v_y > least * least
     if not far:
-        return False  # then no two approach by more than twice of it
+        return False  # then no two circles approach by more than twice `least`
     for i in range(n):
         v_x, v_y = solver_bodies[i, 0], solver_bodies[i, 1]
         if v_x * v_x + v_y * v_y > (FAST * radius[i] / dt) ** 2:
@@ -129,7 +131,7 @@ def any_apart(velocity, radius, dt):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def middle_of(values, n):
-    """The middle of the least box around the first n points, (n, 2 or more)."""
+    """The middle of the bounding box of the first n points, (n, 2 or more)."""
     x_min = x_max = values[0, 0]
     y_min = y_max = values[0, 1]
     for i in range(n):
@@ -140,20 +142,20 @@ def middle_of(values, n):
 
 @njit(cache=True, error_model="numpy")
 def collide_fast(step, start, segments, drive, shifts):
-    """Let fast circles push on what they meet within a step: positions change in place, and where e > 0 velocities.
+    """Let fast circles push on what they meet within a step, in place on positions, and on velocities if e > 0.
 
-    step: `StepInput`, whose bodies have moved by Δt v. start: (n, 2), where they were, m. segments: after their moves.
-    drive: of the step. shifts: of `StepLog`.
+    step: `StepInput`, whose bodies have moved by Δt v. start: centres before this motion, (n, 2), m. segments: after
+    their motion. drive: `Drive` of the step, or None. shifts: of `StepLog`.
     """
     bodies, n = step.bodies, step.bodies.mass.shape[0]
     rate = moved(bodies.position, start, -1.0)
     if not math.isfinite(sum_of(start) + sum_of(rate)):
-        return  # the caller of the run says so
+        return  # the run raises an error
     paths = Paths(
         start, start.copy(), np.zeros(n), rate, 1.0 / bodies.mass, np.zeros(n, np.int64), np.zeros((n, 2)),
         np.zeros(n, np.int64), bodies.radius, step.box, segments, step.scales,
     )  # fmt: skip
-    searches = np.zeros((n, 2), np.bool_)  # whether a circle looks for walls and segments, and for circles
+    searches = np.zeros((n, 2), np.bool_)  # whether a circle searches walls and segments, and circles
     choose_fast(paths, searches, drive, step.dt)
     if not searches.any():
         return
@@ -168,7 +170,7 @@ def collide_fast(step, start, segments, drive, shifts):
         while queue[0][0] <= time + TOGETHER and count < 8 * n:
             _, i, k, touches_i, touches_k = heappop(queue)
             if paths.touches[i] != touches_i:
-                continue  # it has been looked for again since
+                continue  # circle i has been searched anew since
             if k < n and paths.touches[k] != touches_k:
                 find_touch(i, time, searches, paths, swept, queue, drive, step.dt)
                 continue
@@ -188,9 +190,9 @@ def collide_fast(step, start, segments, drive, shifts):
 
 @njit(cache=True, error_model="numpy")
 def choose_fast(paths, searches, drive, dt):
-    """Note in place, (n, 2), which circles look for walls and segments, and which for circles: all that are fast.
+    """Mark in `searches`, (n, 2), in place, the fast circles: they search walls and segments, and other circles.
 
-    A circle is fast as walls, moving segments near it, and the mean of all circles see it.
+    A circle is fast relative to walls and to moving segments near it, or relative to the mean motion of all circles.
     """
     rate, radius, n = paths.rate, paths.radius, paths.radius.shape[0]
     mean_x = mean_y = 0.0
@@ -210,7 +212,7 @@ def choose_fast(paths, searches, drive, dt):
 
 @njit(cache=True, error_model="numpy")
 def choose_near_moving(paths, searches, drive, dt):
-    """Let circles look for walls as well, in place, whose way is long relative to a moving segment near it."""
+    """Mark circles with a long path relative to a moving segment near it, in place: they search walls and segments."""
     start, rate, radius, line = paths.start, paths.rate, paths.radius, paths.segments.line
     for s in drive.moving:
         for i in range(radius.shape[0]):
@@ -229,7 +231,7 @@ def choose_near_moving(paths, searches, drive, dt):
 
 @njit(cache=True)
 def moved(points, by, share):
-    """points + share by, (n, 2) each. By a loop, which compiles in less time than NumPy's expression."""
+    """points + share · by, (n, 2) each. The loop compiles in less time than NumPy's expression."""
     result = np.empty_like(points)
     for i in range(points.shape[0]):
         for axis in range(2):
@@ -239,23 +241,23 @@ def moved(points, by, share):
 
 @njit(inline="always")
 def place_at(paths, i, time):
-    """(x, y) of circle i at a time of its piece, m."""
+    """Centre (x, y) of circle i at a time of the last piece of its path, m."""
     flown = time - paths.since[i]
     return paths.place[i, 0] + flown * paths.rate[i, 0], paths.place[i, 1] + flown * paths.rate[i, 1]
 
 
 class Swept(NamedTuple):
-    """The broad phase: boxes around the pieces of paths, sorted into cells by the middles that they had at first."""
+    """Broad phase of paths: boxes around their last pieces, sorted into cells by the middles of their first pieces."""
 
     start: np.ndarray  # of `Cells`
     order: np.ndarray  # of `Cells`
-    rank: np.ndarray  # (n,): of each circle, where it stands in `order`
-    middle: np.ndarray  # (n, 2): of each circle, m
-    box: np.ndarray  # (n, 4): x_min, x_max, y_min, y_max of each circle, m, in the order of `order`
-    farthest: np.ndarray  # (2,): how far a box reaches from the middle of its circle, at most, m
+    rank: np.ndarray  # (n,): place of each circle in `order`
+    middle: np.ndarray  # (n, 2): middle of the first piece of each path, m
+    box: np.ndarray  # (n, 4): x_min, x_max, y_min, y_max of each box, m, in the order of `order`
+    farthest: np.ndarray  # (2,): largest distances of the sides of a box from the middle of its path, m
     grid: np.ndarray  # of `Cells`
-    found: np.ndarray  # (n,): a buffer
-    times: np.ndarray  # (n,): likewise
+    found: np.ndarray  # (n,): buffer for circles
+    times: np.ndarray  # (n,): buffer for times of touches
 
 
 _make_cells = njit(cache=True)(make_cells)
@@ -263,7 +265,7 @@ _make_cells = njit(cache=True)(make_cells)
 
 @njit(cache=True, error_model="numpy")
 def sort_swept(paths):
-    """`Swept` of paths that begin."""
+    """The `Swept` of paths at the start of a step."""
     n = paths.radius.shape[0]
     cells, rank = _make_cells(n), np.empty(n, np.int64)
     middle = moved(paths.start, paths.rate, 0.5)
@@ -280,7 +282,7 @@ def sort_swept(paths):
 
 @njit(cache=True)
 def follow(i, paths, swept):
-    """Put the box around the last piece of circle i, in place."""
+    """Put the box of circle i around the last piece of its path, in place."""
     radius, k, rest = paths.radius[i], swept.rank[i], 1.0 - paths.since[i]
     for axis in range(2):
         x, middle = paths.place[i, axis], swept.middle[i, axis]
@@ -292,7 +294,7 @@ def follow(i, paths, swept):
 
 @njit(cache=True, error_model="numpy")
 def crossing_paths(i, now, paths, swept):
-    """The other circles whose boxes cross that of circle i from a time on: no others can touch it in this step."""
+    """Circles whose boxes cross the path of circle i from time `now` on: no other circle can touch it in this step."""
     radius, (x, y) = paths.radius[i], place_at(paths, i, now)
     to_x, to_y = place_at(paths, i, 1.0)
     x_min, x_max = min(x, to_x) - radius, max(x, to_x) + radius
@@ -314,7 +316,7 @@ def crossing_paths(i, now, paths, swept):
 
 @njit(cache=True, error_model="numpy")
 def find_touch(i, now, searches, paths, swept, queue, drive, dt):
-    """Put the first touches of circle i from a time on into the queue: (time, i, partner, touches of both so far)."""
+    """Queue the first touches of circle i from time `now` on, as (time, i, partner, touches of both so far)."""
     if paths.touches[i] >= MOST_TOUCHES:
         return
     first = np.inf
@@ -334,7 +336,7 @@ def find_touch(i, now, searches, paths, swept, queue, drive, dt):
 
 @njit(cache=True, error_model="numpy")
 def touch_walls(i, now, paths, drive, dt):
-    """(time, partner) of the first touch of a circle and a wall or a segment from a time on; (inf, −1) without one."""
+    """(time, partner) of the first touch of circle i with a wall or a segment from time `now` on, or (inf, −1)."""
     radius, scales, segments, n = paths.radius[i], paths.scales, paths.segments, paths.radius.shape[0]
     rate_x, rate_y, (x, y) = paths.rate[i, 0], paths.rate[i, 1], place_at(paths, i, now)
     first, partner = np.inf, -1
@@ -342,7 +344,7 @@ def touch_walls(i, now, paths, drive, dt):
         for wall in range(4):
             rate = rate_x * WALL_NORMALS[wall, 0] + rate_y * WALL_NORMALS[wall, 1]
             before = wall_gap(paths.start[i, 0], paths.start[i, 1], paths.box, wall)
-            # What began outside may come in.
+            # A circle that began outside of the wall may come in.
             if rate > HELD * radius and before > 0.0:
                 least = min(before, radius + scales.wall_skin - touching_overlap(radius, scales))
                 time = now + max(0.0, (wall_gap(x, y, paths.box, wall) - least) / rate)
@@ -369,15 +371,15 @@ def touch_walls(i, now, paths, drive, dt):
 
 @njit(inline="always")
 def touching_overlap(radius, scales):
-    """How far a circle that touches overlaps, so that a contact is found, m."""
+    """Overlap of a touch, m, with which the next step finds a contact."""
     return min(0.5 * scales.slop, 0.1 * radius)
 
 
 @njit(cache=True, error_model="numpy")
 def piece_beside(i, s, now, paths, drive, dt):
-    """((x, y), (m_x, m_y)) of the path of circle i from a time on, as segment s sees it, m.
+    """((x, y), (m_x, m_y)): start and rest of the path of circle i from time `now` on, relative to segment s, m.
 
-    drive: of the step; None for a segment that rests.
+    drive: `Drive` of the step; None for a segment at rest.
     """
     (x, y), (to_x, to_y) = place_at(paths, i, now), place_at(paths, i, 1.0)
     if drive is not None:
@@ -387,9 +389,9 @@ def piece_beside(i, s, now, paths, drive, dt):
 
 @njit(cache=True, error_model="numpy")
 def touch_segment(i, s, now, paths, drive, dt):
-    """Time of the first touch of a circle and a segment from a time on, in steps; inf without one.
+    """Time of the first touch of circle i with segment s from time `now` on, in steps, or infinity.
 
-    drive: of the step; None for a segment that rests.
+    drive: `Drive` of the step; None for a segment at rest.
     """
     line, radius, rest = paths.segments.line, paths.radius[i], 1.0 - now
     reach, (start_x, start_y) = radius + paths.scales.wall_skin, (paths.start[i, 0], paths.start[i, 1])
@@ -408,7 +410,8 @@ def touch_segment(i, s, now, paths, drive, dt):
     least = min(touching, segment_gap(line[s], start_x, start_y)[0], segment_gap(line[s], x, y)[0])
     share, part = time_to_touch(line[s], x, y, m_x, m_y, least)
     if part != BESIDE and share <= 1.0:
-        # An end on a surface is no nearer than that: what slides along one segment does not touch the next.
+        # An end on a surface is no nearer than the surface: a circle that slides along one segment does not touch the
+        # end of the next.
         end, column = 2 * s + part - START, 2 * (part - START)
         e_x, e_y, hiding, first = line[s, column], line[s, column + 1], paths.segments.hiding, paths.segments.first
         for k in hiding[first[end] : first[end + 1]]:
@@ -426,7 +429,7 @@ def touch_segment(i, s, now, paths, drive, dt):
 
 @njit(cache=True, error_model="numpy")
 def touch_circle(i, k, now, paths):
-    """Time of the first touch of two circles from a time on, in steps; inf without one."""
+    """Time of the first touch of circles i and k from time `now` on, in steps, or infinity."""
     start, rate, held = paths.start, paths.rate, paths.held
     (x_i, y_i), (x_k, y_k) = place_at(paths, i, now), place_at(paths, k, now)
     p_x, p_y, w_x, w_y = x_k - x_i, y_k - y_i, rate[k, 0] - rate[i, 0], rate[k, 1] - rate[i, 1]
@@ -436,10 +439,10 @@ def touch_circle(i, k, now, paths):
     reach, smaller = paths.radius[i] + paths.radius[k], min(paths.radius[i], paths.radius[k])
     missed, w = p_x * p_x + p_y * p_y - reach * reach, w_x * w_x + w_y * w_y
     if along * along < w * missed:
-        return np.inf  # as below, without a root: a touch is within reach
+        return np.inf  # the test below, without a root, for the larger distance `reach`
     is_fixed_i, is_fixed_k = paths.inverse[i] == 0.0, paths.inverse[k] == 0.0
     if (is_fixed_i and held[k] > held[i]) or (is_fixed_k and held[i] > held[k]) or (is_fixed_i and is_fixed_k):
-        return np.inf  # it passes over what is firm
+        return np.inf  # a fixed circle passes over a firmer circle, and over another fixed one
     if paths.touches[k] >= MOST_TOUCHES:
         return np.inf
     least, slowest = reach - touching_overlap(smaller, paths.scales), PAIRS * smaller
@@ -456,9 +459,9 @@ def touch_circle(i, k, now, paths):
 
 @njit(cache=True, error_model="numpy")
 def push(first, second, time, step, paths, changed, drive, shifts):
-    """Change the paths of circles at touches of one time, in place. Returns how many change; `changed` lists them.
+    """Change the paths of circles at simultaneous touches, in place. Returns how many circles `changed` lists.
 
-    first, second: a circle and what it touches, (k,) each. A circle shares its mass among its touches.
+    first, second: a circle and its partner in each touch, (k,) each. A circle shares its mass among its touches.
     """
     touches, count, n = first.shape[0], 0, paths.radius.shape[0]
     normal, approach, yielding = np.empty((touches, 2)), np.empty(touches), np.empty((touches, 2, 3))
@@ -495,16 +498,16 @@ def push(first, second, time, step, paths, changed, drive, shifts):
 
 @njit(inline="always")
 def hold(i, normal, sign, by, paths):
-    """Let circle i be held in the direction of a normal times a sign, in place. by: how."""
+    """Mark circle i as held by a body in the direction of the normal times the sign, in place. by: how it is held."""
     paths.held[i] = max(paths.held[i], by)
     paths.block[i, 0], paths.block[i, 1] = sign * normal[0], sign * normal[1]
 
 
 @njit(cache=True, error_model="numpy")
 def yield_along(i, k, normal, paths, yielding):
-    """Write how circle i, pushed against a normal, and body k, pushed along it, yield: (2, 3), `mobility` of each.
+    """Write the `mobility` of circle i, pushed against the normal, and of body k, pushed along it, (2, 3).
 
-    Where both are blocked, the circle that is less firm yields as if nothing held it; of two that are alike both do.
+    If both are blocked, the less firm circle yields as if nothing held it; if both are equally firm, both circles do.
     """
     n, inverse = paths.radius.shape[0], paths.inverse
     mobility(i, -normal[0], -normal[1], paths, yielding[0])
@@ -522,7 +525,7 @@ def yield_along(i, k, normal, paths, yielding):
 def mobility(i, d_x, d_y, paths, result):
     """Write (w, x, y) of circle i, which is pushed along a unit vector d: its rate changes by 1/m (x, y), along d by w.
 
-    What is held slides along what holds it. Where next to nothing is left of d, w is 0.
+    A held circle slides along the body that holds it. If d points almost straight at that body, w is 0.
     """
     w, x, y = paths.inverse[i], d_x, d_y
     along = d_x * paths.block[i, 0] + d_y * paths.block[i, 1]
@@ -534,7 +537,7 @@ def mobility(i, d_x, d_y, paths, result):
 
 @njit(inline="always")
 def hold_of(k, paths, drive):
-    """How what circles touch holds them: a wall, a segment, or a circle that does not yield."""
+    """Hold of body k on a circle: for a wall or segment `CARRIED` or `FIRM`, for a circle its own hold (`held`)."""
     n = paths.radius.shape[0]
     if k < n:
         return paths.held[k]
@@ -546,7 +549,7 @@ def hold_of(k, paths, drive):
 
 @njit(cache=True, error_model="numpy")
 def approach_of(i, k, time, paths, drive, dt):
-    """(n_x, n_y, rate) at which circle i comes nearer to k, along the unit normal from i to k, m a step."""
+    """(n_x, n_y, rate): unit normal from circle i to body k, and the rate at which i approaches k, m a step."""
     n, rate = paths.radius.shape[0], paths.rate
     if k < n:
         (x_i, y_i), (x_k, y_k) = place_at(paths, i, time), place_at(paths, k, time)
@@ -567,12 +570,13 @@ def approach_of(i, k, time, paths, drive, dt):
 
 @njit(cache=True, error_model="numpy")
 def keep_energy(i, k, impulse, normal, approach, yielding, step, paths, drive, shifts):
-    """Change the velocity of circle i, or of circle k if that is heavier, in place, for the ways that both miss.
+    """Correct the velocity of circle i, or of circle k if that is heavier, in place: a touch has to keep their energy.
 
-    They have the speeds that gravity and pushes give in a whole step, but where one of them is held they do not go all
-    of their way along gravity and pushes: without the change their energy would be another. Velocities are half a step
-    behind places. impulse: what has changed their rates, times the rest of the step, kg m. approach: before it, m a
-    step. The change of momentum is added to shifts, (n, 2), N·s; (0, 2) where nobody asks.
+    The circles have the velocities that gravity and pushes give in a whole step. A touch changes how far they move
+    along gravity and pushes in it, and so their potential energy: without the correction, the total would change.
+    Velocities are half a step behind positions. impulse: impulse of the touch on the rates, times the rest of the step,
+    kg m. approach: rate of approach before the touch, m a step. The change of momentum is added to shifts, (n, 2), N·s,
+    if these are logged.
     """
     bodies, dt, n, gained, g = step.bodies, step.dt, paths.radius.shape[0], 0.0, 0.0
     is_second = yielding[1, 0] > 0.0 and (yielding[0, 0] == 0.0 or bodies.mass[min(k, n - 1)] > bodies.mass[i])

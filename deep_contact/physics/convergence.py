@@ -1,4 +1,4 @@
-"""How a solve went: θ by sweep, and why it stopped."""
+"""Convergence of a solve: θ after each sweep, and why sweeping ended."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from deep_contact.validation import expect
 
 @by_value
 class ConvergenceRecord(NamedTuple):
-    """How one solve went.
+    """Convergence of one solve.
 
     | field  | meaning                                                                              |
     |--------|--------------------------------------------------------------------------------------|
     | theta  | θ_k = max over rows of abs(λ_k − λ_{k−1}) after each sweep, (sweeps,), N·s (Alg 1)   |
-    | sweeps | how many were done                                                                   |
-    | status | "converged": the last θ is within the tolerance; "max_sweeps": it is not, or no      |
-    |        | tolerance was asked for; "diverged": it is not finite, and sweeping ended there;     |
+    | sweeps | number of sweeps that were done                                                      |
+    | status | "converged": the last θ is within the tolerance; "max_sweeps": it is not, or there   |
+    |        | was no tolerance; "diverged": it is not finite, and sweeping ended there;            |
     |        | "no_contacts": there was nothing to solve                                            |
-    | shifts | what gravity and pushes gave to circles in a step beside Δt (m g + f), (n, 2), N·s;  |
-    |        | `on_step` gets it where e > 0; None elsewhere                                        |
+    | shifts | momentum from gravity and pushes beyond Δt (m g + f) in a step, (n, 2), N·s, which   |
+    |        | `on_step` gets if e > 0; None otherwise                                              |
 
     θ is a stopping rule, not an error: slow convergence has small steps. For errors see `deep_contact.physics.metrics`.
     """
@@ -56,8 +56,8 @@ def convergence_record(theta: np.ndarray, solver, n_contacts: int, shifts=None) 
 def mean_theta(thetas: Iterable[np.ndarray], sweeps: int) -> np.ndarray:
     """Average convergence rate of a simulation, Eq 2.30: the mean over its steps of θ after each sweep.
 
-    thetas: one array of θ a step. A step that stopped before `sweeps` keeps its last θ for the rest: leaving it out
-    of the mean, as the thesis's own code did, would average over the slow steps only.
+    thetas: an array of θ for each step. A step that stopped before `sweeps` keeps its last θ for the rest: leaving it
+    out of the mean, as the thesis's own code did, would average over the slow steps only.
     Returns (sweeps,), N·s. Raises ValueError if there is no step, or one without sweeps.
     """
     rows = [theta[:sweeps] for theta in thetas]
@@ -75,7 +75,7 @@ def is_over(theta, tolerance):
 
 @njit(cache=True, fastmath={"reassoc"})
 def all_finite(solver_bodies):
-    """Whether all velocities are finite. The flag lets several sums go on at once."""
+    """Whether all velocities are finite. The fast-math flag lets the sum vectorise."""
     total, numbers = 0.0, solver_bodies.reshape(-1)
     for i in range(numbers.shape[0]):
         total += 0.0 * numbers[i]  # 0 times an infinite number is NaN

@@ -1,6 +1,7 @@
-"""The engine: `advance` is the algorithm, that of Box2D 2.3 for circles at e = 0. Continuous collision is our own.
+"""The engine: `advance` is the algorithm of a run. At e = 0 it is that of Box2D 2.3 for circles.
 
-`solvers.batched` has the same stages in batches; `deep_contact.simulation` is the validated interface.
+Continuous collision is our own. `solvers.batched` has the same stages in batches of contacts;
+`deep_contact.simulation` is the validated interface.
 """
 
 from __future__ import annotations
@@ -75,17 +76,17 @@ from deep_contact.state.scales import ContactScales, mean
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance(setup, contacts, motion, sleep, log, drive):
-    """Do as many steps as the log has rows, or until its work is done: the bodies move in place.
+    """Do as many steps as the log has rows, or fewer if its bound on the work ends the call. Bodies move in place.
 
-    A step has as many substeps as the solver asks for. Motion may divide these further (`substeps`). Code that the
-    scene does not need is not compiled: that for segments, restitution, motion and sleep, and that which stops fast
-    circles. Where a circle becomes fast and that code is missing, the call ends before the substep. The next call has
-    the code, and goes on there.
-    Whether motion divides a step, and whether anything is driven, is asked in this function. A function that returned
-    its argument unchanged would count references to some fifty arrays.
-    Returns the contacts found, in memory that the next call writes into, and `StepLog.received`.
-    setup: `StepSetup`. motion, drive: of its step; motion is None where it has nothing rare. sleep: `SleepMemory`, None
-    where nothing may. log: `StepLog`, filled.
+    A step has as many substeps as the solver asks for. Motion may divide these further (`substeps`). Code for
+    segments, restitution, division by motion, sleep and continuous collision is compiled only if the scene needs it. If
+    a circle becomes fast and the code for continuous collision is missing, the call ends before that substep. The next
+    call has the code, and goes on from there.
+    The conditions on motion and on actuation stand in this function, because a function that returned its argument
+    unchanged would count references to some fifty arrays.
+    Returns the contacts at the end, in memory that the next call overwrites, and `StepLog.received`.
+    setup: `StepSetup`. motion: `Motion` of its step; None without optional features (`step.with_rare`). drive: `Drive`
+    of its step, or None. sleep: `SleepMemory`, or None if no circle may sleep. log: `StepLog`, filled in place.
     """
     step, memory = setup.step, setup.memory
     if drive is not None:
@@ -122,11 +123,11 @@ def advance(setup, contacts, motion, sleep, log, drive):
 
 @njit(inline="always")
 def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive):
-    """A part of the k-th step: velocities, positions, and the contacts that the next part solves, in buffer `turn`.
+    """Do a substep of the k-th step: velocities, positions, and the contacts of the next substep, in buffer `turn`.
 
-    Returns whether it is done, its contacts, `StepLog.received` and the segments after it. Where a circle is fast and
-    the code that stops it is missing, nothing is done: it returns False, and all as it was. It is inlined: a call would
-    count references to all arrays that are handed on.
+    Returns whether the substep was done, and the contacts, `StepLog.received` and the segments after it. If a circle is
+    fast and the code for continuous collision is missing, the substep is not done: the function returns False, and the
+    other values as they were. It is inlined, because a call would count references to all arrays that it passes.
     """
     bodies, box, segments, scales, friction = part.bodies, part.box, part.segments, part.scales, part.friction
     options, memory, n, impacts = setup.options, setup.memory, part.bodies.mass.shape[0], log.loads[:0]
@@ -145,7 +146,7 @@ def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive)
     sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, memory.workspace)
     store_impulses(rows, active, part.parts)
     sleeping.store_awake_impulses(active, contacts, sleep)
-    # Positions: of segments, of circles, and their correction.
+    # Positions: of segments and of circles, and position correction.
     if drive is not None:
         log_work(part, active, solver_bodies, log)
         segments = moved_segments(segments, drive, part.dt)
@@ -153,7 +154,7 @@ def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive)
     if not integrate_positions(bodies, solver_bodies, part, segments, drive, log.shifts):
         return False, contacts, received, segments
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
-    # The contacts that the next part or step solves, and who sleeps in it.
+    # The contacts of the next substep, and the circles that sleep in it.
     walls, mass, buffer = Walls(box, scales.wall_skin), mass_if_fixed(bodies, drive), memory.contacts[turn]
     passed = hold(bodies, before, walls, segments, contacts, drive, part.dt)
     following = find_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
@@ -172,7 +173,7 @@ def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive)
 
 
 class Steps:
-    """The steps of a solver: a call does some of them, in memory that it keeps for the next call.
+    """Steps of one solver: each call does some steps, in memory that the object keeps for the next call.
 
     solver: options with numbers in place of what follows the scene (`SolverOptions.for_state`). n: number of circles.
     sleep: whether islands may sleep, where the solver can (`registry.Entry`); all start awake.
@@ -182,27 +183,27 @@ class Steps:
     def __init__(self, solver, n: int, *, sleep: bool = False, carry: bool = True):
         entry = entry_of(solver)
         self._advance = entry.advance(solver) if entry.advance else advance
-        self._is_plain = not (sleep or entry.advance)  # whether nothing rare is compiled; once False, it stays
+        self._is_plain = not (sleep or entry.advance)  # whether optional features are left out; once False, it stays
         self._options = StepOptions(entry.settings(solver), solver.position_sweeps, carry)
         self._solver, self._memory, self._direct = solver, {}, {}
-        self._asked = self._rare = None  # the last input of steps, and that of `with_rare`
-        self._setups: dict = {}  # by buffer: the last input of steps, and its setup
-        self._found: tuple = (None, -1, False)  # indices of the contacts found last, their buffer and its memory
+        self._asked = self._rare = None  # the last input of steps, and its `with_rare`
+        self._setups: dict = {}  # buffer -> the last input of steps, and its setup
+        self._found: tuple = (None, -1, False)  # body_a of the last contacts, their buffer, and the key of its memory
         self.sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
 
     def wake(self) -> None:
-        """Let all islands be awake."""
+        """Wake all islands."""
         if self.sleep is not None:
             self.sleep.still[:] = 0.0
 
     def memory(self, step: StepInput, contacts: int = 0) -> StepMemory:
-        """The memory that these steps work in: one for rows with tangents, one for rows without. contacts: a number."""
+        """The memory of these steps, which differs for rows with and without tangents. contacts: their number."""
         return self._memories(step, contacts)[-1]
 
     def _memories(self, step: StepInput, contacts: int) -> list[StepMemory]:
-        """Memories that do not write over the contacts in buffer 0, 1 or 2; the last, for contacts elsewhere, has none.
+        """Four memories: memory i < 3 does not overwrite contacts in buffer i; the last is for contacts in no buffer.
 
-        They share all but the buffers of contacts (`_BUFFERS`).
+        They share everything but the two buffers that each of them fills (`_BUFFERS`).
         """
         key = step.friction is None
         if key not in self._memory:
@@ -216,13 +217,13 @@ class Steps:
         return self._memory[key]
 
     def _buffer_of(self, contacts: Contacts, key: bool) -> int:
-        """Which buffer of the memory for rows with these tangents the contacts lie in; -1 where in none."""
+        """Index of the buffer in which the contacts lie, in the memories of this key; -1 if they lie in none."""
         found, buffer, kept = self._found
         return buffer if contacts.body_a is found and key == kept else -1
 
     def _keep(self, following: Contacts, parts: int, buffer: int, key: bool) -> Contacts:
-        """Note in which buffer the contacts lie that so many parts have left, which filled two of them by turns."""
-        if self.sleep is not None:  # parts of those asleep fill none
+        """Record the buffer of the contacts after `parts` substeps, which fill two buffers in turn, and return them."""
+        if self.sleep is not None:  # substeps in which all circles sleep fill no buffer
             following, buffer = Contacts(*map(np.copy, following)), -1
         elif parts > 0:
             buffer = _BUFFERS[buffer][parts % 2]
@@ -232,11 +233,11 @@ class Steps:
     def __call__(
         self, step: StepInput, contacts: Contacts, log: StepLog, problem: StepProblem | None = None
     ) -> tuple[Contacts, np.ndarray]:
-        """Do as many steps as the log has rows, which is filled: the bodies move in place.
+        """Do as many steps as the log has rows, and fill the log. Bodies move in place.
 
-        problem: of the one step to do, if it has been built; it is used up. Where circles may sleep, or the step is
-        divided, rows are built here.
-        Returns the contacts found, in memory that the next call leaves as it is, and `StepLog.received`.
+        problem: contact problem of the only step, if it is built already; the step overwrites it. If circles may sleep
+        or the step is divided, it is ignored, and rows are built anew.
+        Returns the contacts at the end, in memory that the next call does not overwrite, and `StepLog.received`.
         """
         key, before, built = step.friction is None, 0, None
         buffer = self._buffer_of(contacts, key)
@@ -260,14 +261,14 @@ class Steps:
             following, before = self._keep(following, parts - before, buffer, key), parts
             if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.parts * len(log.contacts):
                 return following, received
-            # A circle is fast. What has been built is used up.
+            # A circle is fast, so the next call has the code for it. The rows that were built are overwritten by now.
             self._is_plain, contacts, log, built = False, following, log._replace(received=received), None
             buffer = self._buffer_of(following, key)
 
     def _setup_of(self, step: StepInput, buffer: int, contacts: int, built: dict | None) -> StepSetup:
-        """The setup of steps whose contacts lie in a buffer. It is kept until the input of the steps changes.
+        """The setup of steps whose contacts lie in this buffer. It is kept until the input of the steps changes.
 
-        contacts: their number. built: fields of the memory that have been filled for one step; None where none were.
+        contacts: their number. built: fields of the memory that are filled already for a single step, or None.
         """
         before, setup = self._setups.get(buffer, (None, None))
         if built is not None or before is not step:
@@ -284,12 +285,12 @@ class Steps:
 
 
 _BUFFERS = (1, 2), (0, 2), (0, 1), (0, 1)
-"""Which two of three buffers steps fill whose contacts lie in the first, the second, the third, and elsewhere."""
+"""The two of three buffers that steps fill, if their contacts lie in buffer 0, in buffer 1, in buffer 2, in none."""
 
 
 @njit(cache=True, error_model="numpy")
 def solve_velocities(rows, friction, settings, solver_bodies, theta):
-    """The velocity part of a step, in place on the rows' impulses and the solver bodies. Returns the sweeps."""
+    """Solve the rows of a step, in place on their impulses and on the solver bodies. Returns the number of sweeps."""
     apply_impulses(rows, solver_bodies, friction)
     sweeps, _ = relax(settings, rows, friction, solver_bodies, theta, make_workspace(settings, rows, solver_bodies))
     return sweeps
@@ -297,7 +298,10 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def build_rows(step, contacts, solver_bodies, drive):
-    """Fill the solver bodies of a step, after its impacts, and return its rows. step: `StepInput`. drive: its own."""
+    """Fill the solver bodies of a step, after its impacts, and return its rows.
+
+    step: `StepInput`. drive: `Drive` of the step, or None.
+    """
     integrate_velocities(step.bodies, step.gravity, step.dt, solver_bodies, drive)
     buffer, radius = more_rows(contacts.body_a.shape[0], step.friction), step.bodies.radius
     rows = contact_rows(contacts, radius, step.segments, solver_bodies, buffer, step.friction, 1.0)
@@ -308,7 +312,7 @@ def build_rows(step, contacts, solver_bodies, drive):
 
 @by_value
 class ContactSolution(NamedTuple):
-    """What a solve of the contact problem found.
+    """Solution of a contact problem, as a solver left it.
 
     | field              | meaning                                | shape  | unit  |
     |--------------------|----------------------------------------|--------|-------|
@@ -332,14 +336,14 @@ class ContactSolution(NamedTuple):
 class StepProblem(NamedTuple):
     """The contact problem of a state's next step, after its impacts, built once for the start and for the step."""
 
-    rows: Rows  # their impulses are those that the state starts from
+    rows: Rows  # with the impulses that the state starts from
     solver_bodies: np.ndarray  # (n + 4 + contacts with moving segments, 4): after gravity, before impulses
     friction: float | None  # μ, or None where there are no tangent rows (`started`)
-    impacts: np.ndarray  # (m, 2): what the second bodies of the contacts received in the impacts, N·s; (0, 2) if e = 0
+    impacts: np.ndarray  # (m, 2): impulses on the second bodies of the contacts in the impacts, N·s; (0, 2) if e = 0
 
 
 def leaves_tangents_out(state: State, solver) -> bool:
-    """Whether a step needs no tangent rows: μ = 0, no tangent impulse to start from, and a loop that can do without."""
+    """Whether a step has no tangent rows: μ = 0, no contact starts from a tangent impulse, and the loop allows it."""
     return state.world.friction == 0 and entry_of(solver).advance is None and not state.contacts.tangent_start.any()
 
 
@@ -348,7 +352,7 @@ UNDIVIDED = SolverOptions()
 
 
 def step_input(state: State, solver, scales: ContactScales | None = None) -> StepInput:
-    """What the next steps of a state read; it shares the state's arrays. scales: of `scales_of`.
+    """The `StepInput` of the next steps of a state; it shares the state's arrays.
 
     solver: None for rows with tangents, an undivided step and the state's own scales.
     """
@@ -368,7 +372,7 @@ def step_input(state: State, solver, scales: ContactScales | None = None) -> Ste
 
 
 def drive_of(state: State) -> Drive | None:
-    """What is moved and pushed from outside in the step from a state; None where nothing is."""
+    """Kinematics and external force of a state's next step; None without moving segments, fixed circles and pushes."""
     (force, torque), world, n = state.push or (None, None), state.world, state.bodies.count
     if force is None and not world.segment_velocities and not state.bodies.is_fixed.any():
         return None
@@ -379,7 +383,7 @@ def drive_of(state: State) -> Drive | None:
 
 
 def reach_of(state: State, scales: ContactScales) -> float:
-    """How far a contact of the largest circle with a segment reaches, m."""
+    """Largest distance from a segment at which the centre of a circle has a contact with it, m."""
     return float(state.bodies.radius.max(initial=0.0)) + scales.wall_skin
 
 
@@ -390,9 +394,9 @@ def scales_of(state: State, solver) -> ContactScales:
 
 
 def after_impacts(state: State) -> tuple[State, np.ndarray]:
-    """(State, impulses): the state with the velocities after the impacts of its next step, and what these impacts gave.
+    """(State, impulses): the state with the velocities after the impacts of its next step, and the impacts' impulses.
 
-    The impulses are `StepProblem.impacts`. Where e = 0 there are no impacts, and the state is the same one.
+    The impulses are `StepProblem.impacts`. If e = 0 there are no impacts, and the state itself is returned.
     """
     if state.world.restitution == 0.0:
         return state, np.zeros((0, 2))
@@ -404,7 +408,7 @@ def after_impacts(state: State) -> tuple[State, np.ndarray]:
 
 
 def step_problem(state: State, scales: ContactScales | None = None) -> StepProblem:
-    """The contact problem of the next step, with tangents. scales: the state's, if at hand."""
+    """The contact problem of the next step, with tangent rows. scales: those of the state, if at hand."""
     state, impacts = after_impacts(state)
     solver_bodies, step = np.empty((state.bodies.count + 4, 4)), step_input(state, None, scales)
     if step.drive is not None:
@@ -414,7 +418,10 @@ def step_problem(state: State, scales: ContactScales | None = None) -> StepProbl
 
 
 def started(problem: StepProblem, contacts: Contacts, friction: float | None) -> StepProblem:
-    """A problem with tangents, from these contacts' starting impulses; without tangents where friction is None."""
+    """The problem with the starting impulses of these contacts; without tangent rows if friction is None.
+
+    problem: with tangent rows.
+    """
     data, impulse = problem.rows.data, np.empty((contacts.count, 2))
     impulse[:, NORMAL], impulse[:, TANGENT] = contacts.normal_start, contacts.tangent_start
     if friction is None:
@@ -430,17 +437,17 @@ def contacts_of(state: State) -> Contacts:
     walls, cells = Walls(world.box, state.scales.wall_skin), make_cells(bodies.count)
     buffer = make_contacts(4 * bodies.count + 64)
     found = find_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
-    # Copies of who touches whom and where, since those lie in a larger buffer. The four arrays of impulses are zero.
+    # Bodies and geometry are copied, since they lie in a larger buffer. The four arrays of impulses are set to zero.
     return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
 
 
 def solve(
     state: State, solver, normal_start: np.ndarray, tangent_start: np.ndarray, problem: StepProblem | None = None
 ) -> ContactSolution:
-    """Solve the contact problem of a state from the given impulses, (m,), N·s each. The state stays as it is.
+    """Solve the contact problem of a state from starting impulses, (m,) each, N·s. The state stays as it is.
 
-    Where e > 0 the velocities are those after its impacts as well, whose impulses are not among the solution's.
-    problem: of `step_problem(state)`, if it is at hand; it stays as it is.
+    If e > 0 the impacts come first: the solution's velocities include their effect, but its impulses do not include
+    theirs. problem: `step_problem(state)`, if at hand; it stays as it is.
     """
     solver = solver.for_state(state)
     settings, n = entry_of(solver).settings(solver), state.bodies.count

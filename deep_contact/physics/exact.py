@@ -1,22 +1,22 @@
-"""Exact solutions of the contact problem with friction, where sweeps do not come to one: Lemke's pivots.
+"""Exact solutions of the contact problem with friction, where sweeps do not converge: by Lemke's pivots.
 
-A pile has more impulses than it needs (it is hyperstatic): λ may move along the null space of A = J M⁻¹ Jᵀ at no change
-of the velocities. Sweeps let λ drift there until a contact opens or starts to slip. With friction what is left is
-neither symmetric nor monotone, and may have a mode that sweeps make grow.
+A pile is hyperstatic: λ may move along the null space of A = J M⁻¹ Jᵀ without a change of the velocities. Sweeps let λ
+drift there until a contact opens or starts to slip. With friction the remaining problem is neither symmetric nor
+monotone, and may have a mode that grows under sweeps.
 
-A proximal step (Rockafellar 1976) adds ε diag(A) (λ − c) to the velocities, c being the last impulses: it takes the
-null space away and has the solutions of the contact problem as its fixed points. Each step is solved by the parametric
+A proximal step (Rockafellar 1976) adds ε diag(A) (λ − c) to the velocities, where c are the last impulses. It removes
+the null space, and its fixed points are the solutions of the contact problem. Each step is solved by the parametric
 form of Lemke's algorithm (Lemke 1965; Cottle, Pang and Stone 1992, sections 4.4-4.5; with friction Anitescu and Potra
-1997). Every contact is open, sticks or slips one way. c, put on the bounds of the states that it shows, solves a
-problem whose velocities are shifted by q; the shift is then withdrawn, t q from t = 1 to 0. Between two changes of a
-state λ is linear in t, and each change (a pivot) tells which way t goes on: with friction it may have to grow again for
-a while. ε falls while steps are easy.
+1997). Every contact has a state: it is open, sticks, or slips in one direction. The impulses c, put on the bounds of
+the states that they show, solve a problem whose velocities are shifted by q. The shift t q is then withdrawn, from
+t = 1 to t = 0. Between two changes of a state λ is linear in t. Each change, a pivot, decides the direction in which t
+goes on: with friction t may have to grow again for a while. ε decreases as long as steps are easy.
 
-A pivot is a solve with SuperLU's factors (`proximal_path`): this is for references, not for the steps of a run.
+A pivot is a solve with SuperLU's factors (`proximal_path`), which costs too much for the steps of a run.
 
-A path is sure to lead to a solution without friction, where the problem is monotone. With friction ε may be too small
-against a negative mode, and a path can turn back for good: it is given up and taken up with a larger ε. Most piles of
-1,000 have been solved, of 10,000 none. Of many solutions, the start and these constants choose one.
+Without friction the problem is monotone, and every path leads to a solution. With friction ε may be too small against a
+negative mode, so that a path turns back for good. That step is abandoned, and done again with a larger ε. The method is
+for scenes of up to some 1,000 circles. If there are many solutions, the start and these constants choose one.
 """
 
 from __future__ import annotations
@@ -42,53 +42,53 @@ from deep_contact.state.equality import by_value
 from deep_contact.validation import expect, floats, integer, number
 
 FIRST_EPSILON = 1e-4
-"""ε to start with."""
+"""ε of the first step."""
 
 LEAST_EPSILON = 1e-6
-"""Smallest ε: a pivot divides by numbers of order ε where others hold the contact, and rounding leaves 16 digits less
-those of 1 / ε."""
+"""Smallest ε. A pivot may divide by a number of order ε, if other contacts hold its contact, and this loses as many of
+the 16 digits as 1 / ε has."""
 
 LARGEST_EPSILON = 0.1
-"""Largest ε: a drift of λ costs a residual of ε times it."""
+"""Largest ε: a drift of λ leaves a residual of ε times that drift."""
 
 FIRST_SWEEPS = NesterovPGS(sweeps=300, tolerance=None)
-"""What is done to the impulses that a state holds, or that its positions tell, before the first step. More take longer
-than the pivots that they spare."""
+"""Sweeps before the first step, from the impulses that a state holds or that follow from its positions. More sweeps
+take longer than the pivots that they save."""
 
 EASY = 5
-"""Pivots up to which a step lets the next one have a fifth of its ε."""
+"""Largest number of pivots of an easy step, which divides ε by 5 for the next step."""
 
 FAIR = 12
-"""Pivots up to which it lets the next one have a half."""
+"""Largest number of pivots of a fair step, which halves ε for the next step."""
 
 MOST_PIVOTS = 120
-"""A step is given up after so many pivots: a larger ε is cheaper than a long path."""
+"""Largest number of pivots of a step, which is then abandoned: a larger ε is cheaper than a long path."""
 
 MOST_IDLE = 30
-"""After so many easy steps in a row without a smaller residual, sweeps move on, and ε is the first again: a restart."""
+"""Number of easy steps in a row without a smaller residual that lead to a restart: to sweeps, and to the first ε."""
 
 MOST_RESTARTS = 5
-"""After so many restarts it ends: rounding lets it no further."""
+"""Largest number of restarts. After them the solve ends, since rounding allows no better solution."""
 
 SWEEPS_ELSEWHERE = 200
-"""Sweeps of PGS that move on from where not even the largest ε leads on, or many easy steps have changed nothing."""
+"""Sweeps of PGS in a restart, and from impulses from which not even the largest ε leads on."""
 
 LONGEST_DRIFT = 1e4
-"""How many steps without a pivot one of them may stand for."""
+"""Largest number of steps without a pivot that one step along their line may replace."""
 
 
 @by_value
 class ExactSolution(NamedTuple):
-    """What `solve_exactly` found.
+    """Result of `solve_exactly`.
 
     | field          | meaning                                                                      | unit |
     |----------------|------------------------------------------------------------------------------|------|
     | solution       | `ContactSolution`; its record has the status, and no sweeps. Without bodies  |      |
     |                | its velocities are empty                                                     |      |
     | residual       | `metrics.residual` of the solution, or `lcp.natural_residual` of a problem   | m/s  |
-    | converged      | whether that is within the residual asked for                                |      |
-    | factorizations | of matrices: at least one a proximal step                                    |      |
-    | pivots         | changes of a contact's state, over all steps                                 |      |
+    | converged      | whether the residual is at most the argument `residual`                      |      |
+    | factorizations | number of factorised matrices: at least one in each proximal step            |      |
+    | pivots         | number of changes of a contact's state, over all steps                       |      |
     """
 
     solution: ContactSolution
@@ -98,7 +98,7 @@ class ExactSolution(NamedTuple):
     pivots: int
 
 
-@np.errstate(all="ignore")  # Sweeps may grow beyond all numbers where friction is large; the residual refuses them.
+@np.errstate(all="ignore")  # Impulses of sweeps may overflow where friction is large; their residual rejects them.
 def solve_exactly(
     state: State | ContactProblem,
     normal_start: np.ndarray | None = None,
@@ -107,17 +107,18 @@ def solve_exactly(
     residual: float = 1e-8,
     most_pivots: int = 5_000,
 ) -> ExactSolution:
-    """A solution of the state's contact problem to `metrics.residual` <= residual, m/s, where one is found.
+    """Solve a state's contact problem to `metrics.residual` <= residual, m/s, if such a solution is found.
 
-    state: or a `ContactProblem` with friction, whose residual is `lcp.natural_residual`, which is the same.
-    normal_start, tangent_start: impulses to start from, (m,) each, N·s; by default those that the state holds as its
-    start (`support` where it has no past), or what 300 sweeps of NesterovPGS make of them where that has the smaller
-    residual. most_pivots: it ends
-    after so many pivots and factorisations together; the solution of least residual so far is returned, in the friction
-    cone, and `converged` says how it went.
-    The same arguments give the same solution. See the module on the method, its costs and where it fails.
-    Raises ValueError naming field and value if the contacts have not been found, on a state or problem that is not
-    valid or beyond `state.arrays.LIMITS`, and on arguments that do not hold together.
+    state: a `State` with contacts, or a `ContactProblem` with friction, whose residual is the equal
+    `lcp.natural_residual`. normal_start, tangent_start: impulses to start from, (m,) each, N·s. By default the solve
+    starts from the impulses that the state holds as its start (of `support` if it has no past), or from these after 300
+    sweeps of NesterovPGS, whichever have the smaller residual. residual: largest residual that counts as converged,
+    m/s. most_pivots: largest number of pivots and factorisations together.
+
+    The solution with the least residual so far is returned, in the friction cone; `converged` says whether it is within
+    `residual`. Equal arguments give equal solutions. See the module on the method, its costs and where it fails.
+    Raises ValueError naming field and value if the state has no contacts, on a state or problem that is not valid or
+    beyond `state.arrays.LIMITS`, and on arguments that do not fit each other.
     """
     number("residual", residual, above=0)
     integer("most_pivots", most_pivots)
@@ -149,7 +150,10 @@ def solve_exactly(
 
 
 def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_pivots: int):
-    """Proximal steps from impulses in the cone, (2 m,). Returns the best impulses, factorisations and pivots."""
+    """Do proximal steps from impulses in the cone, (2 m,).
+
+    Returns the best impulses, (2 m,), the number of factorisations and the number of pivots.
+    """
     blocks = blocks_of(problem)
     impulse = impulse.reshape(-1, 2)
     best, least = impulse, natural_residual(problem, impulse.ravel())
@@ -161,8 +165,8 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
         reached, done, factorized = _step(problem, blocks, start, epsilon, limit)
         factorizations, pivots = factorizations + factorized, pivots + done
         if reached is None:
-            # From where it stands the path leads nowhere: a larger ε makes the next one shorter. Sweeps move on as
-            # well, but undo what the steps before have reached, so they come last.
+            # The path from these impulses leads nowhere. A larger ε makes the next path shorter. Sweeps help as well,
+            # but undo what earlier steps have reached, so they come last.
             sweeps = SWEEPS_ELSEWHERE if epsilon == LARGEST_EPSILON else 0
             epsilon = min(LARGEST_EPSILON, max(LEAST_EPSILON, 4 * epsilon))
         else:
@@ -171,7 +175,7 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
         impulse = _swept(blocks, impulse, sweeps)
         wrong, last = natural_residual(problem, impulse.ravel()), wrong
         if done == 0 and reached is not None and 0.9 * last < wrong < 1.1 * last:
-            # Nothing changes but λ, along a line: it goes there until a contact stands on a bound.
+            # Only λ changes, along a line: λ follows this line until a contact reaches a bound.
             impulse = _drifted(blocks, start, reached)
             wrong = natural_residual(problem, impulse.ravel())
         idle = 0 if done > EASY or wrong < least else idle + 1
@@ -180,7 +184,7 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
         elif not np.isfinite(wrong):
             impulse = best
         if reached is not None:
-            # Near the end a sweep adds more than it takes away.
+            # Near the solution a sweep raises the residual more than it lowers it.
             exact = _swept(blocks, reached, 0)
             at_end = natural_residual(problem, exact.ravel())
             if at_end < least:
@@ -191,13 +195,16 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
 
 
 def _start_of_problem(problem: ContactProblem) -> np.ndarray:
-    """The better of no impulses and what sweeps find, (2 m,)."""
+    """The start with the smaller residual, (2 m,): impulses of 0, or the impulses that sweeps find from them."""
     starts = np.zeros(problem.b.size), solve_problem(problem, FIRST_SWEEPS)[0]
     return min(starts, key=lambda impulse: np.nan_to_num(natural_residual(problem, impulse), nan=np.inf))
 
 
 def _start_of_state(state: State) -> np.ndarray:
-    """The better of what the state holds, or `support` where it has no past, and what sweeps make of that, (2 m,)."""
+    """The start with the smaller residual, (2 m,): the impulses that the state holds, or these after sweeps.
+
+    A state without a past starts from the impulses of `support`.
+    """
     held = state.contacts.normal_start, state.contacts.tangent_start
     if not state.contacts.have_past:
         held = supported(state, step_problem(state))
@@ -207,7 +214,7 @@ def _start_of_state(state: State) -> np.ndarray:
 
 
 def _start_of(problem: ContactProblem, normal, tangent) -> np.ndarray:
-    """The impulses in the cone, (2 m,)."""
+    """The impulses that the user passed, validated and projected onto the cone, (2 m,)."""
     start = []
     for name, value in (("normal_start", normal), ("tangent_start", tangent)):
         start.append(floats(name, value, problem.friction.shape))
@@ -218,7 +225,7 @@ def _start_of(problem: ContactProblem, normal, tangent) -> np.ndarray:
 
 @njit(cache=True)
 def _swept(blocks: Blocks, impulse, sweeps):
-    """The impulses after sweeps of PGS, (m, 2), in the cone, which those of a sweep leave by what λ_n fell in it."""
+    """The impulses after sweeps of PGS, (m, 2), cut to the cone: λ_t leaves it if λ_n falls within a sweep."""
     impulse = impulse.copy()
     for _ in range(sweeps):
         sweep(blocks, impulse)
@@ -230,13 +237,13 @@ def _swept(blocks: Blocks, impulse, sweeps):
 
 @njit(cache=True)
 def _drifted(blocks: Blocks, before, after):
-    """The impulses further along the line from `before` to `after`, to where the first leaves its cone, (m, 2)."""
+    """Impulses further along the line from `before` to `after`, (m, 2), where the first contact leaves its cone."""
     length = LONGEST_DRIFT
     for i in range(after.shape[0]):
         mu, p_n, p_t = blocks.mu[i], after[i, 0], after[i, 1]
         d_n, d_t = p_n - before[i, 0], p_t - before[i, 1]
         for room, rate in ((p_n, d_n), (mu * p_n - p_t, mu * d_n - d_t), (mu * p_n + p_t, mu * d_n + d_t)):
-            # One that slips stays on its bound, but for rounding.
+            # A contact that slips stays on its bound, but for rounding.
             if rate < -1e-9 * (abs(d_n) + abs(d_t)) and room > 1e-12 * p_n:
                 length = min(length, room / -rate)
     return _swept(blocks, after + length * (after - before), 1)
@@ -244,10 +251,11 @@ def _drifted(blocks: Blocks, before, after):
 
 @njit(cache=True)
 def _shown(blocks: Blocks, impulse):
-    """What a step starts from: the states that impulses c and their velocities show, and λ, u and q of t = 1.
+    """The start of a step from impulses c: the states of the contacts, and λ, u and q at t = 1.
 
-    States: where the natural map (`metrics.residual`) projects. λ: c on the bounds of its states. u: its velocities,
-    made to satisfy what the states say of them, which shifts them by q. Returns (states (m,), λ, u, q, (m, 2) each).
+    The state of a contact is the bound to which the natural map (`metrics.residual`) projects it. λ is c, put on the
+    bounds of the states. u are the velocities of λ, shifted by q so that they satisfy the conditions of the states.
+    Returns (states (m,), λ, u, q, (m, 2) each).
     """
     u, x, q = np.empty_like(impulse), impulse.copy(), np.empty_like(impulse)
     states = np.empty(impulse.shape[0], np.int64)
@@ -256,7 +264,7 @@ def _shown(blocks: Blocks, impulse):
         mu = blocks.mu[i]
         bound = mu * impulse[i, 0]
         free_t = impulse[i, 1] - u[i, 1] / blocks.diagonal[i, 3]
-        # Without friction it is said to slip up, which says λ_t = 0, and is never left for another way.
+        # A contact without friction counts as slipping up, which means λ_t = 0, and never changes its direction.
         state = SLIP_UP if free_t > bound or mu == 0.0 else SLIP_DOWN if free_t < -bound else STICK
         if impulse[i, 0] - u[i, 0] / blocks.diagonal[i, 0] <= 0.0:
             state = OPEN
@@ -282,9 +290,9 @@ def _shown(blocks: Blocks, impulse):
 
 
 def _step(problem: ContactProblem, blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
-    """The contact problem with ε diag(A) (λ − c) added to its velocities, c being impulses in the cone, (m, 2).
+    """A proximal step: solve the problem with ε diag(A) (λ − c) added to its velocities, c being the impulses, (m, 2).
 
-    From c on the bounds of the states that it shows: (λ, or None where it is given up, pivots, factorisations).
+    c lies in the cone. Returns (λ, or None if the step is abandoned, number of pivots, number of factorisations).
     """
     states, x, u, q = _shown(blocks, impulse)
     reached, pivots, factorizations = follow(problem, epsilon, states, x, u, q, limit)

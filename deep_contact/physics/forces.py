@@ -1,8 +1,9 @@
 """Forces in the user's terms: of contacts, on circles, walls and segments; stress, coordination, neighbours.
 
-A force is an impulse over Δt. Of a solved state (`on_step`, `Simulation.solved`) it is the mean over its step, with all
-substeps and rebounds. Any other state has the solved impulses of the step before, or of its last substep, without the
-contacts that have opened since and without rebounds. `Simulation.force_on` adds up everything over time.
+A force is an impulse over Δt. In a solved state (`on_step`, `Simulation.solved`) it is the mean over the state's step,
+with all substeps and rebounds. Any other state has the solved impulses of the step before, or of its last substep,
+without rebounds and without contacts that have opened since. `Simulation.force_on` has means over time that leave
+nothing out.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from deep_contact.state.equality import by_value
 from deep_contact.validation import expect, integer, number
 
 MOST_CELLS = 10_000_000
-"""Of `mean_stress`."""
+"""Largest number of cells of `mean_stress`."""
 
 
 @by_value
@@ -30,11 +31,11 @@ class Forces(NamedTuple):
 
     | field    | meaning                                                          | shape  | unit |
     |----------|------------------------------------------------------------------|--------|------|
-    | contact  | of each contact on its second body; on the first is the opposite | (m, 2) | N    |
-    | net      | of all contacts on each circle, without gravity                  | (n, 2) | N    |
-    | torque   | of all contacts on each circle, counter-clockwise                | (n,)   | N·m  |
-    | walls    | "floor", "right", "ceiling", "left" → the force on it            | (2,)   | N    |
-    | segments | on each segment                                                  | (S, 2) | N    |
+    | contact  | force of each contact on its second body; the first has minus it | (m, 2) | N    |
+    | net      | force of all contacts on each circle, without gravity            | (n, 2) | N    |
+    | torque   | torque of all contacts on each circle, counter-clockwise         | (n,)   | N·m  |
+    | walls    | "floor", "right", "ceiling", "left" → force on the wall          | (2,)   | N    |
+    | segments | force on each segment                                            | (S, 2) | N    |
     """
 
     contact: np.ndarray
@@ -45,9 +46,9 @@ class Forces(NamedTuple):
 
 
 def forces(state: State) -> Forces:
-    """The forces of the contacts; without a step before, as of positions alone, they are 0.
+    """The forces of a state's contacts. They are 0 in a state of positions alone, which no step has led to.
 
-    Raises ValueError on a state that does not hold together.
+    Raises ValueError on a state that is not valid.
     """
     check_types(state)
     if not has_engine_arrays(state):
@@ -57,15 +58,15 @@ def forces(state: State) -> Forces:
     places = c.body_a, c.body_b, c.normal, c.separation, state.bodies.radius
     contact, on, torque = sum_forces(*places, *impulses, 1.0 / state.dt, segments)
     if len(on) != n + 4 + segments:
-        ready(state, of_step=True)  # which says why: to look for it first would take longer than the sums
+        ready(state, of_step=True)  # raises ValueError; a check before the sums would take longer than they do
     return Forces(contact, on[:n], torque, dict(zip(SIDES, on[n:])), on[n + 4 :])
 
 
 @njit(cache=True)
 def sum_forces(body_a, body_b, normal, separation, radius, normal_impulse, tangent_impulse, rate, segments):
-    """Forces of the contacts, (m, 2), on circles, walls and segments, (n + 4 + S, 2), N, and torques, (n,), N·m.
+    """Forces of contacts, (m, 2), N, on circles, walls and segments, (n + 4 + S, 2), N, and torques, (n,), N·m.
 
-    On nothing, (0, 2), where the contacts do not fit the circles.
+    The second array is empty, (0, 2), if the contacts do not fit the circles. rate: 1 / Δt, 1/s.
     """
     n, m, end = radius.shape[0], body_a.shape[0], radius.shape[0] + 4 + segments
     contact, on, torque = np.empty((m, 2)), np.zeros((end, 2)), np.zeros(n)
@@ -92,8 +93,8 @@ def sum_forces(body_a, body_b, normal, separation, radius, normal_impulse, tange
 def stress(state: State) -> np.ndarray:
     """The mean stress in each circle, (n, 2, 2), N/m, compression positive: σ = −Σ l ⊗ f / (π r²), the virial.
 
-    l: from the centre to a contact. f: of the contact on the circle. Half of the trace is the pressure. At rest σ is
-    symmetric. Source: Christoffersen, Mehrabadi and Nemat-Nasser, J. Appl. Mech. 48, 339 (1981).
+    l: vector from the centre to a contact, m. f: force of the contact on the circle, N. Half of the trace is the
+    pressure. At rest σ is symmetric. Source: Christoffersen, Mehrabadi and Nemat-Nasser, J. Appl. Mech. 48, 339 (1981).
     """
     state = ready(state, of_step=True)
     on_contact = forces(state).contact[:, None]
@@ -110,8 +111,10 @@ def stress(state: State) -> np.ndarray:
 def mean_stress(state: State, spacing: float) -> np.ndarray:
     """The stress of the medium in square cells over the box, (rows, columns, 2, 2), N/m: rows from the bottom.
 
-    spacing: of the cells, m. A cell has what the circles hold whose centres lie in it, over its area; fewer than some
-    five circles in a cell are a picture of contacts more than one of a medium.
+    The stress of a cell is the sum of stress times area over the circles with centres in the cell, over the cell's
+    area. With fewer than about five circles in a cell it shows single contacts more than a medium.
+
+    spacing: side of a cell, m.
     """
     x_min, y_min, x_max, y_max = state.world.box
     spacing = number("spacing", spacing, above=0)
@@ -128,7 +131,7 @@ def mean_stress(state: State, spacing: float) -> np.ndarray:
 
 
 def coordination(state: State) -> np.ndarray:
-    """How many contacts of each circle push, (n,): λ_n > 0."""
+    """Number of contacts of each circle that push, λ_n > 0, (n,)."""
     state = ready(state, of_step=True)
     c, n = state.contacts, state.bodies.count
     pushes = c.normal_impulse > 0
@@ -136,12 +139,12 @@ def coordination(state: State) -> np.ndarray:
 
 
 def name_of(state: State, body: int) -> int | str:
-    """A body as users name it: a circle's number, the name of a wall, or "segment 3"."""
+    """A body as users name it: index of a circle, name of a wall, or "segment 3"."""
     return body_name(int(body), state.bodies.count)
 
 
 def neighbours(state: State, circle: int) -> list[int | str]:
-    """What touches a circle: numbers of circles, "floor", "right", "ceiling", "left", "segment 3"."""
+    """The bodies that touch a circle: indices of circles, "floor", "right", "ceiling", "left", "segment 3"."""
     state = ready(state, of_step=True)
     circle, c = integer("circle", circle, most=state.bodies.count - 1), state.contacts
     return [name_of(state, body) for body in [*c.body_a[c.body_b == circle], *c.body_b[c.body_a == circle]]]

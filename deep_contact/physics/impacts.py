@@ -10,22 +10,22 @@ along their normals, which push for every approach x_i = −v_n,i > 0:
 For a single contact this is Newton's law, v_n⁺ = −e v_n⁻. Rounds follow until no contact approaches any more, at most
 until `MOST_STRIKES`.
 
-No impulse depends on the order of contacts or circles, and none changes by much for a contact that hardly approaches.
-Momentum is kept. The energy of a cluster changes by −½ (1 − e²) (Σ p_i x_i)² / Σ p_i (n_i · u): by 0 at e = 1, and
-never upwards, whatever the masses, the solver and its sweeps.
+No impulse depends on the order of contacts or circles, and a contact that hardly approaches changes no impulse by much.
+Momentum is conserved. The energy of a cluster changes by −½ (1 − e²) (Σ p_i x_i)² / Σ p_i (n_i · u). This is 0 at
+e = 1, and never positive, whatever the masses, the solver and its sweeps.
 
 Reflections in rounds are those of Smith, Kaufman, Vouga, Tamstorf and Grinspun, Reflections on Simultaneous Impact
-(2012); that they end was shown by Vouga et al., All's Well That Ends Well (2017). A circle that shares its mass among
+(2012); Vouga et al., All's Well That Ends Well (2017), showed that the rounds end. Splitting the mass of a circle among
 its contacts is from Tonge, Benevolenski and Voroshilov, Mass Splitting for Jitter-Free Parallel Rigid Body Simulation
 (2012); the shares are our own.
 
-Friction follows in each round, from the shared masses: f_i = −k_t v_t within ±μ P_i. It takes energy only, since a body
-that is the mean of its parts has less energy than these have.
+Friction follows in each round, from the shared masses: f_i = −k_t v_t within ±μ P_i. It only takes energy, since a body
+whose velocity is the mean of those of its parts has less energy than the parts have.
 
-Contacts of one step count as simultaneous. Impacts that truly are have no one answer.
+All contacts of a step count as simultaneous. Impacts that truly are simultaneous have no unique outcome.
 
-Gravity and the contact problem come after that, without restitution. Symplectic Euler leaves velocities half a step
-behind the positions, so walls and segments rise at −Δt g / 2.
+Gravity and the contact problem come after the impacts, without restitution. Symplectic Euler leaves velocities half a
+step behind the positions, so that in the impacts walls and segments move at −Δt g / 2.
 """
 
 from __future__ import annotations
@@ -42,40 +42,42 @@ from deep_contact.physics.segments import moves, surface_velocity, wall_velocity
 from deep_contact.physics.step import is_asked, work_on
 
 MOST_STRIKES = 200
-"""Most rebounds of a step per contact. What approaches after them is left to the contact problem, which stops it."""
+"""Largest number of rebounds in a step per contact. The contact problem stops the approaches that are left."""
 
 ALWAYS_STRIKES = 50_000
-"""Rebounds that a step may have however few its contacts are."""
+"""Number of rebounds that a step may always have, however few its contacts are."""
 
 SLOWEST = 1e-6
-"""Share of the fastest approach that a circle has had in a step below which its contacts no longer rebound in it."""
+"""Approach, over the fastest approach at a circle in the step so far, below which the circle's contacts do not
+rebound."""
 
 SLOWEST_LOSSY = 1e-2
-"""This number times 1 − e² is the share in place of `SLOWEST` where it is larger. Without it, rounds at e < 1 could go
-on for ever, each halving the approach that is left."""
+"""This number times 1 − e² replaces `SLOWEST` if it is larger. Otherwise rounds at e < 1 could go on for ever, each
+halving the approach that is left."""
 
 ACROSS = 1e-3
-"""Least share of the floor of `rebound` for contacts across gravity: the noise of a pile does not rebound."""
+"""Least approach that rebounds at contacts across gravity, as a share of that at contacts along gravity: the noise of a
+pile does not rebound."""
 
 ROUNDING = 1e-12
 """Share of the speeds of two bodies below which their approach is taken for rounding."""
 
 
 class Round(NamedTuple):
-    """The clusters of a round, and how fast the circles of a step have been hit. n circles, m contacts.
+    """The clusters of a round, and the fastest approaches in the step so far, of n circles and m contacts.
 
     | field    | meaning                                                           | shape      | unit |
     |----------|-------------------------------------------------------------------|------------|------|
-    | near     | contacts to look at, which turn into those that rebound           | (m,)       | –    |
-    | approach | x_i of those that rebound                                         | (m,)       | m/s  |
-    | push     | P_i of those that rebound                                         | (m,)       | N·s  |
+    | near     | contacts to examine, and then those that rebound                  | (m,)       | –    |
+    | approach | x_i of the contacts that rebound                                  | (m,)       | m/s  |
+    | push     | P_i of the contacts that rebound                                  | (m,)       | N·s  |
     | circle   | circles of the clusters                                           | (n,)       | –    |
     | closing  | Σ x_j of the contacts that rebound at a circle; 0 elsewhere       | (n + 1,)   | m/s  |
     | cluster  | the circle that stands for the cluster of a circle                | (n + 1,)   | –    |
-    | sums     | Σ p_i x_i, which turns into L, and Σ p_i (n_i · u), of a cluster  | (n, 2)     | J    |
-    | impulse  | what a circle receives: along x and y, and its moment over r      | (n + 1, 3) | N·s  |
+    | sums     | Σ p_i x_i, and later L, and Σ p_i (n_i · u) of a cluster          | (n, 2)     | J    |
+    | impulse  | impulse on a circle, along x and y, and its moment over r         | (n + 1, 3) | N·s  |
     | fastest  | fastest approach at a circle in this step                         | (n + 1,)   | m/s  |
-    | received | of second bodies in this step; (0, 2) where nobody asks           | (m, 2)     | N·s  |
+    | received | impulses on second bodies in this step; (0, 2): not needed        | (m, 2)     | N·s  |
 
     Row n stands for walls and segments.
     """
@@ -94,9 +96,9 @@ class Round(NamedTuple):
 
 @njit(inline="always")
 def logged_rebound(step, motion, contacts, log, drive):
-    """`rebound`, with its work in the log. Returns the impulses on second bodies, (m, 2), N·s; (0, 2) if nobody asks.
+    """`rebound`, with its work in the log. Returns the impulses on second bodies, (m, 2), N·s; (0, 2) if not needed.
 
-    motion: of the step; None where it has no restitution.
+    motion: `Motion` of the step; None without optional features (`step.with_rare`), and so without restitution.
     """
     impulse = log.loads[:0]
     if motion is not None:
@@ -110,10 +112,11 @@ def logged_rebound(step, motion, contacts, log, drive):
 
 @njit(cache=True, error_model="numpy")
 def rebound(step, contacts, impulse, drive):
-    """Let circles that meet rebound, in place on their velocities and spins, where e > 0: by `reflect`.
+    """If e > 0, let circles that meet rebound, in place on their velocities and spins (`reflect`).
 
-    Velocities are half a step behind the positions (see the module). So pushes act for half a step before the rebounds,
-    and fixed circles rise as walls do. Returns the work of pushes in the rebounds, J. drive: of the step.
+    Velocities are half a step behind the positions (see the module). Pushes therefore act for half a step before the
+    rebounds, and fixed circles move at −Δt g / 2 in addition, as walls do. Returns the work of pushes in the rebounds,
+    J. drive: `Drive` of the step, or None.
     """
     work, bodies = 0.0, step.bodies
     if step.restitution == 0.0:
@@ -140,13 +143,13 @@ def rebound(step, contacts, impulse, drive):
 
 @njit(cache=True, error_model="numpy")
 def reflect(step, contacts, impulse, drive):
-    """The rounds of `rebound`, whose parts are inlined: a call would count references to every array of the step.
+    """The rounds of `rebound`. Their stages are inlined: a call would count references to every array of the step.
 
-    step: `StepInput`.
-    impulse: to which what the second bodies of the contacts receive is added, (m, 2), N·s; (0, 2) where nobody asks.
+    step: `StepInput`. impulse: the impulses on the second bodies of the contacts are added to it, (m, 2), N·s; (0, 2)
+    if they are not needed.
 
-    Approaches of up to (1 − e²) times the scene's `restitution_threshold`, and of what gravity gives in a step, do not
-    rebound, so that piles come to rest. Both times |n · g| / |g|, or `ACROSS`: gravity presses no side wall.
+    Slow approaches do not rebound, so that piles come to rest. The limit is the larger of Δt |g| and (1 − e²) times the
+    scene's `restitution_threshold`, times the larger of |n · g| / |g| and `ACROSS`: gravity presses on no side wall.
     """
     m, n, floor = contacts.body_a.shape[0], step.bodies.mass.shape[0], floor_of(step)
     now = Round(
@@ -165,7 +168,7 @@ def reflect(step, contacts, impulse, drive):
         for k in range(circles):
             end = head[now.circle[k]]
             while end >= 0:
-                # A contact of two circles that were hit is listed by its first.
+                # A contact of two circles that were both hit is listed once, by its first circle.
                 if end % 2 == 0 or now.closing[contacts.body_a[end // 2]] == 0.0:
                     now.near[count] = end // 2
                     count += 1
@@ -176,7 +179,7 @@ def reflect(step, contacts, impulse, drive):
 
 @njit(cache=True, error_model="numpy")
 def floor_of(step):
-    """Approaches that do not rebound, m/s: whatever the normal; and along x and along y (`rebound`)."""
+    """(flat, f_x, f_y), m/s: an approach along n rebounds if it is faster than flat and than |f · n| (`reflect`)."""
     (g_x, g_y), e = step.gravity, step.restitution
     gravity, slow = math.hypot(g_x, g_y), (1.0 - e * e) * step.scales.restitution_threshold
     if gravity == 0.0:
@@ -187,11 +190,13 @@ def floor_of(step):
 
 @njit(inline="always")
 def approaching(step, contacts, count, now, floor, slowest, drive):
-    """Keep those of the first `count` contacts in `now.near` that rebound, in place, with x_i = −v_n. Returns how many.
+    """Keep those of the first `count` contacts in `now.near` that rebound, in place, with x_i = −v_n.
 
-    A contact rebounds where it approaches faster than the floor, and than `slowest` times the fastest at its circles.
+    Returns the number of contacts that rebound.
+    A contact rebounds if it approaches faster than the floor, and faster than `slowest` times the fastest approach at
+    its circles.
     """
-    # Out of the tuples, whose arrays would count their references in every turn of the loop.
+    # Unpacked here: arrays inside tuples would count references in every iteration of the loop.
     velocity, mass, fastest, near, approach = (
         step.bodies.velocity,
         step.bodies.mass,
@@ -241,13 +246,16 @@ def ground_of(step, contacts, i, drive):
 
 @njit(inline="always")
 def inverse_mass(bodies, i):
-    """1/kg; 0 for what does not move."""
+    """Inverse mass of body i, 1/kg; 0 for fixed circles, walls and segments."""
     return 1.0 / bodies.mass[i] if i < bodies.mass.shape[0] else 0.0
 
 
 @njit(cache=True)
 def contacts_of_circles(contacts, n):
-    """(head, following): 2 i + side, of the last contact i of a circle, and of the one before it; −1 at the end."""
+    """(head, following): linked lists of the contacts i of each circle, as numbers 2 i + side; −1 ends a list.
+
+    head, (n,): the last contact of each circle. following, (2 m,): the contact of the circle before that one.
+    """
     m = contacts.body_a.shape[0]
     head, following = np.full(n, -1), np.empty(2 * m, np.int64)
     for i in range(m):
@@ -260,7 +268,7 @@ def contacts_of_circles(contacts, n):
 
 @njit(inline="always")
 def join(bodies, contacts, struck, now):
-    """Join the circles of the contacts that rebound to clusters, in place. Returns the number of these circles."""
+    """Join the circles of the contacts that rebound into clusters, in place. Returns the number of these circles."""
     n, count = bodies.mass.shape[0], np.int64(0)
     for k in range(struck):
         i, x = now.near[k], now.approach[k]
@@ -283,7 +291,7 @@ def join(bodies, contacts, struck, now):
 
 @njit(inline="always")
 def shared_masses(bodies, contacts, k, now):
-    """Of the k-th contact that rebounds: the circle of its cluster, and 1 / (σ_a m_a), 1 / (σ_b m_b), 1/kg."""
+    """(cluster, 1 / (σ_a m_a), 1 / (σ_b m_b)) of the k-th contact that rebounds; the inverse masses in 1/kg."""
     i = now.near[k]
     a, b = contacts.body_a[i], min(contacts.body_b[i], bodies.mass.shape[0])
     w_a = inverse_mass(bodies, a) * (now.closing[a] / now.approach[k])
@@ -293,7 +301,7 @@ def shared_masses(bodies, contacts, k, now):
 
 @njit(inline="always")
 def push(step, contacts, struck, circles, now):
-    """Give the circles their normal impulses P_i = L p_i, in place."""
+    """Apply the normal impulses P_i = L p_i to the circles, in place."""
     bodies, n = step.bodies, step.bodies.mass.shape[0]
     for k in range(struck):
         i = now.near[k]
@@ -325,7 +333,7 @@ def push(step, contacts, struck, circles, now):
 
 @njit(inline="always")
 def give(now, a, b, p_x, p_y):
-    """Add an impulse on b and its reaction on a, N·s, to what they receive."""
+    """Add an impulse on b, N·s, and its reaction on a to `now.impulse`, in place."""
     now.impulse[a, 0] -= p_x
     now.impulse[a, 1] -= p_y
     now.impulse[b, 0] += p_x
@@ -334,9 +342,9 @@ def give(now, a, b, p_x, p_y):
 
 @njit(cache=True, error_model="numpy")
 def rub(step, contacts, struck, circles, now, friction, drive):
-    """Give the circles the friction of their normal impulses, in place.
+    """Apply the friction of the normal impulses to the circles, in place.
 
-    Not inlined: only the type of an argument tells the compiler that there is no friction.
+    The function is not inlined: only by the type of an argument does the compiler know that there is no friction.
     """
     bodies, n = step.bodies, step.bodies.mass.shape[0]
     for k in range(struck):
@@ -364,7 +372,7 @@ def rub(step, contacts, struck, circles, now, friction, drive):
 
 @njit(inline="always")
 def slip_of(step, contacts, i, arms, drive):
-    """v_t of the i-th contact, m/s, the tangent (n_y, −n_x). arms: over radii."""
+    """v_t of the i-th contact along the tangent (n_y, −n_x), m/s. arms: over radii."""
     bodies, n, a, b = step.bodies, step.bodies.mass.shape[0], contacts.body_a[i], contacts.body_b[i]
     n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
     v_t = arms[0] * bodies.spin[a] * bodies.radius[a] - bodies.velocity[a, 0] * n_y + bodies.velocity[a, 1] * n_x

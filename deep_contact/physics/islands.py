@@ -1,7 +1,7 @@
 """Islands: circles that touch each other, directly or through others. Walls connect nothing, for they never move.
 
-What happens in one island leaves every other as it is, so each can be solved, and stopped, on its own
-(`PGS(islands=True)`; Figure 6.7), or put to sleep (`sleeping`).
+No island influences another, so that each can be solved with a number of sweeps of its own (`PGS(islands=True)`; Figure
+6.7), or put to sleep (`sleeping`).
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from deep_contact.state import State
 class IslandsWorkspace(NamedTuple):
     """Workspace: the islands of n circles, and the rows of m contacts sorted by island."""
 
-    parent: np.ndarray  # (n,): of each circle in the forest of the union-find; roots are their own
-    start: np.ndarray  # (n + 1,): rows `start[k]` to `start[k + 1]` of the sorted ones belong to the k-th island
-    order: np.ndarray  # (m,): where each sorted row was before
+    parent: np.ndarray  # (n,): parent of each circle in the forest of the union-find; a root is its own parent
+    start: np.ndarray  # (n + 1,): sorted rows `start[k]` to `start[k + 1]` belong to the k-th island
+    order: np.ndarray  # (m,): place of each sorted row before it was sorted
     rows: Rows  # `Rows` sorted by island, and within it as they were
 
 

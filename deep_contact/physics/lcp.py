@@ -1,7 +1,7 @@
 """The contact problem as matrices, which the engine never builds.
 
-It is the form of the textbook, and that of problems from other programs, where nothing is known of bodies.
-`matrix_solvers` and `exact` solve it.
+It is the form of textbooks, and of problems from other programs, whose bodies are unknown. `matrix_solvers` and `exact`
+solve it.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class ContactProblem(NamedTuple):
     """
 
     A: sparse.csr_array  # (r, r), 1/kg: J M⁻¹ Jᵀ
-    b: np.ndarray  # (r,), m/s: J (v + Δt M⁻¹ F), and segments and surfaces that move; v after the step's impacts
-    jacobian: sparse.csr_array | None = None  # (r, 3n): J; J v is what circles give to contacts
+    b: np.ndarray  # (r,), m/s: J (v + Δt M⁻¹ F) plus velocities of segments and surfaces; v after the step's impacts
+    jacobian: sparse.csr_array | None = None  # (r, 3n): J; J v is the share of the circles in the row velocities
     inverse_mass: np.ndarray | None = None  # (3n,): diagonal of M⁻¹ for (v_x, v_y, ω) of every circle
-    free_velocity: np.ndarray | None = None  # (3n,), m/s, rad/s: v + Δt M⁻¹ F, likewise
+    free_velocity: np.ndarray | None = None  # (3n,), m/s, rad/s: v + Δt M⁻¹ F for (v_x, v_y, ω) of every circle
     friction: np.ndarray | None = None  # (m,): μ of every contact
 
     def velocities(self, impulse: np.ndarray) -> np.ndarray:
@@ -97,7 +97,7 @@ def contact_problem(state: State) -> ContactProblem:
         k = body[i]
         arm = contacts.position[i] - bodies.position[k]
         if side > 0:
-            # The arm of b as the engine has it: positions are exact to rounding, separations define the overlap.
+            # The arm of b as in the engine: positions are exact to rounding, separations define the overlap.
             arm = -(bodies.radius[k] + 0.5 * contacts.separation[i])[:, None] * contacts.normal[i]
         for kind, direction in enumerate((contacts.normal, tangent)):
             turn = arm[:, 0] * direction[i, 1] - arm[:, 1] * direction[i, 0]

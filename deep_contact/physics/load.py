@@ -1,8 +1,9 @@
-"""Impulses that fit the load and the Δt of a state: where it carries none yet, or those of another load or Δt.
+"""Impulses for a state that carries no impulses yet, or those of another load or another Δt.
 
-A pile whose gravity is switched off still has the impulses that held it up. A few sweeps do not take them back, and
-what is left becomes velocity. So a state remembers what its impulses were solved for (`State.load`). Where that has
-changed, they are solved anew, well, before the next step starts from them. A run that nothing disturbs keeps its bits.
+A pile whose gravity is switched off still has the impulses that held it up. A few sweeps do not remove them, and the
+rest becomes velocity. A state therefore keeps a digest of the load for which its impulses were solved (`State.load`).
+If the load has changed, the impulses are solved anew, with many sweeps, before the next step starts from them. A run
+that nothing disturbs keeps its bits.
 """
 
 from __future__ import annotations
@@ -25,29 +26,29 @@ from deep_contact.state.scales import mean, theta_tolerance
 from deep_contact.validation import number
 
 SWEEPS = 500, 2000
-"""Least and most sweeps of a solve that has to be good: with few a pile would fall into itself. Between them it is one
-for each circle."""
+"""Smallest and largest number of sweeps of an accurate solve; between them it is the number of circles. With few sweeps
+a pile would fall into itself."""
 
 CLOSE = 10.0
-"""θ at which they end where the load has changed, in the default tolerance of solvers."""
+"""θ at which these sweeps end if the load has changed, over the default tolerance of solvers."""
 
 KICK = 0.001
-"""Speed, in √(g r), by which the fastest circle may become faster where carried impulses stay."""
+"""Largest increase of the top speed with which carried impulses stay, in √(g r)."""
 
 RELAXED = 2000
-"""Most iterations of the convex relaxation where nothing moves yet."""
+"""Largest number of iterations of the convex relaxation, which is for states in which nothing moves yet."""
 
 ENDS = 1e-4
-"""Speed below which these iterations end, as a share of what gravity gives in a step."""
+"""Rms speed at which these iterations end, over the speed g Δt that gravity gives in a step."""
 
 RESTS = 0.02
-"""Speed up to which the iterations have found a pile at rest, as the same share."""
+"""Largest rms speed after the iterations, over g Δt, at which a pile counts as being at rest."""
 
 
 def load_of(state: State) -> tuple[int, int]:
-    """Digests of what the impulses of a state are solved for, and of its velocities.
+    """(Load, motion): digests of what the impulses of a state are solved for, and of its velocities and spins.
 
-    The first is of the world, Δt, pushes, and all of the circles but how they move.
+    The load is the world, Δt, the pushes, and positions, masses and radii of the circles.
     """
     position, velocity, _, spin, mass, radius = map(np.ascontiguousarray, state.bodies)
     load, motion = zlib.crc32(np.float64(state.dt), _of_world(state.world)), zlib.crc32(velocity, zlib.crc32(spin))
@@ -61,7 +62,7 @@ def _of_world(world: World) -> int:
         numbers = *world.box, *world.gravity, world.friction, world.restitution, *np.ravel(world.segments)
         dragging = world.surface_speeds if world.friction > 0 else ()
         kept = zlib.crc32(np.array([*numbers, *dragging, *(world.scales or ())], np.float64))
-        vars(world)["_digest"] = kept  # hidden there, as the grid of its segments is: a world never changes
+        vars(world)["_digest"] = kept  # cached there, as the grid of its segments: a world never changes
     return kept
 
 
@@ -71,12 +72,13 @@ def has_new_load(state: State) -> bool:
 
 
 def with_new_load(state: StateWithContacts, solver) -> StateWithContacts:
-    """The state with impulses that fit its load, from those that it carries of another one.
+    """The state with impulses that fit its load, made from the impulses of another load that it carries.
 
-    They stay if the solver of the steps to come leaves no more energy from them than from zero, and makes no circle
-    faster than the fastest is now, by more than `KICK`. Otherwise they are found anew, from the share of the carried
-    ones that leaves the least energy. Where that leaves more energy than zero does, the state starts from zero.
-    solver: with numbers in place of what follows the scene (`SolverOptions.for_state`).
+    The carried impulses stay if the solver leaves no more energy from them than from impulses of 0, and raises the top
+    speed by at most `KICK`. Otherwise the impulses are solved anew, starting from the carried impulses times the factor
+    that leaves the least energy (`best_share`). If the new impulses leave more energy than impulses of 0, the state
+    starts from 0. solver: of the next steps, with numbers in place of values that follow the scene
+    (`SolverOptions.for_state`).
     """
     contacts = state.contacts
     if not contacts.have_past:
@@ -96,20 +98,23 @@ def with_new_load(state: StateWithContacts, solver) -> StateWithContacts:
 
 
 def with_a_past(state: StateWithContacts) -> StateWithContacts:
-    """The state with impulses at which it rests, where there are any, or well solved ones, from what positions say."""
+    """The state with impulses from its positions alone: those at which it rests, if there are any, or accurate ones."""
     if state.contacts.count == 0:
         return state
     problem = step_problem(state)
     normal, tangent = _good(state, *supported(state, problem), problem, None)
     rows = problem.rows._replace(impulse=np.column_stack([normal, tangent]))
-    # Where the best share of these impulses is below one half, all of them leave more energy than none.
+    # If the best share of these impulses is below one half, the full impulses leave more energy than impulses of 0.
     if not np.isfinite(rows.impulse).all() or best_share(rows, problem.solver_bodies) < 0.5:
         return state
     return _starting(state, normal, tangent)
 
 
 def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:
-    """(λ_n, λ_t), (m,), N·s, from given ones: those at which a state rests (`relaxation`), or well solved ones."""
+    """(λ_n, λ_t), (m,) each, N·s: those at which the state rests (`relaxation`), if there are any, or accurate ones.
+
+    normal, tangent: impulses to start from, (m,) each, N·s. tolerance: θ at which the sweeps end, N·s, or None.
+    """
     gained, speed = state.dt * math.hypot(*state.world.gravity), math.inf
     ends, rests = ENDS * gained, RESTS * gained
     if np.mean(state.bodies.velocity**2) < gained**2:
@@ -122,7 +127,7 @@ def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float 
 
 
 def _left(state: State, normal, tangent, solver, problem: StepProblem) -> tuple[float, float]:
-    """What a solver leaves from these impulses: √2 times the root of the kinetic energy, √J, and the top speed, m/s."""
+    """(`energy_norm`, √J, top speed, m/s) of the velocities that a solver leaves if it starts from these impulses."""
     solution = solve(state, solver, normal, tangent, problem)
     energy = energy_norm(state.bodies, solution.velocities, solution.angular_velocities)
     return energy, float(np.hypot(*solution.velocities.T).max())
@@ -147,7 +152,7 @@ def with_time_step(state: State, dt: float) -> State:
         return state
     if number("dt", dt, above=0) and contacts is not None:
         ratio, names = dt / state.dt, ["normal_start", "tangent_start"]
-        if not state.solved:  # whose impulses are the starts
+        if not state.solved:  # its impulses are its starts
             names += ["normal_impulse", "tangent_impulse"]
         contacts = contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
         state = with_shifted_flights(state, (state.dt - dt) / getattr(state.solver, "substeps", 1))
@@ -155,7 +160,7 @@ def with_time_step(state: State, dt: float) -> State:
 
 
 def with_shifted_flights(state: StateWithContacts, change: float) -> StateWithContacts:
-    """The state of a run with e > 0 whose substeps become shorter by `change`, s: what flies flies on as before."""
+    """The state of a run whose substeps become shorter by `change`, s. If e > 0, circles in flight fly on as before."""
     if change == 0.0 or state.world.restitution == 0.0 or state.step == 0:
         return state
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy())

@@ -1,4 +1,4 @@
-"""PGS and NesterovPGS on a contact problem of matrices, A λ + b: for problems of which no bodies are known.
+"""PGS and NesterovPGS on a contact problem of matrices, A λ + b: for problems whose bodies are unknown.
 
 A sweep gathers the velocities of a contact's two rows from A's blocks of 2 × 2, one for every contact with which it
 shares a body. The blocks on the diagonal may couple normal and tangent, as they do for shapes other than circles, and μ
@@ -22,18 +22,18 @@ from deep_contact.validation import expect, floats
 
 
 class Blocks(NamedTuple):
-    """A problem as 2 × 2 blocks of a row of contacts: those beside the diagonal by contact, and those on it."""
+    """A problem as blocks of 2 × 2: for each contact the blocks beside the diagonal, and the block on it."""
 
     first: np.ndarray  # (m + 1,): the blocks of contact i are first[i] to first[i + 1]
     contact: np.ndarray  # (k,): the contact whose impulses a block multiplies
     entry: np.ndarray  # (k, 4): nn, nt, tn, tt of every block
-    diagonal: np.ndarray  # (m, 6): the same of the block on the diagonal, and the inverses of nn, tt
-    b: np.ndarray  # (m, 2): of the problem: velocities without impulses
-    mu: np.ndarray  # (m,): and μ
+    diagonal: np.ndarray  # (m, 6): nn, nt, tn, tt of the block on the diagonal, and the inverses of nn and tt
+    b: np.ndarray  # (m, 2): b of the problem, velocities without impulses, m/s
+    mu: np.ndarray  # (m,): μ of every contact
 
 
 def blocks_of(problem: ContactProblem) -> Blocks:
-    """The problem, which `check_problem` has seen, as blocks."""
+    """The `Blocks` of a problem that `check_problem` has validated."""
     A = sparse.bsr_array(problem.A, blocksize=(2, 2))
     A.sort_indices()
     m = problem.b.size // 2
@@ -51,10 +51,10 @@ def blocks_of(problem: ContactProblem) -> Blocks:
 def solve_problem(
     problem: ContactProblem, solver=None, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, ConvergenceRecord]:
-    """Impulses of a contact problem with friction, (2 m,), and how the sweeps went. The problem stays as it is.
+    """Impulses of a contact problem with friction, (2 m,), N·s, and the `ConvergenceRecord` of the sweeps.
 
     solver: `PGS` (the default) or `NesterovPGS`; its tolerance is a number, or None. start: λ to start from, (2 m,); by
-    default 0. Impulses are returned in the friction cone. Raises ValueError naming the argument.
+    default 0. Returns impulses in the friction cone. The problem stays as it is. Raises ValueError naming the argument.
     """
     solver = PGS(tolerance=None) if solver is None else solver
     fits = type(solver) is NesterovPGS or (type(solver) is PGS and not solver.islands)
@@ -71,7 +71,7 @@ def solve_problem(
 
 @njit(cache=True)
 def gather(blocks, impulse, i):
-    """(A λ + b)_n and (A λ + b)_t of contact i without what its own impulses add, m/s."""
+    """(A λ + b)_n and (A λ + b)_t of contact i without the contributions of its own impulses, m/s."""
     u_n, u_t = blocks.b[i, 0], blocks.b[i, 1]
     for k in range(blocks.first[i], blocks.first[i + 1]):
         j = blocks.contact[k]
@@ -110,9 +110,9 @@ def velocities(blocks, impulse, u):
 
 @njit(cache=True)
 def _relax(blocks, impulse, tolerance, theta, has_momentum):
-    """Sweep, with the momentum of `solvers.nesterov` or without, to a tolerance, of which a negative one is never met.
+    """Sweep until θ is within the tolerance, with or without the momentum of `solvers.nesterov`.
 
-    Returns the number of sweeps.
+    A negative tolerance is never met. Returns the number of sweeps.
     """
     flat = impulse.reshape(impulse.size)
     last, swept_from, memory = flat.copy(), flat.copy(), nesterov.FIRST_MEMORY

@@ -1,8 +1,8 @@
-"""How wrong the solution of a step is: every error defined once, with its unit and source.
+"""Errors of the solution of a step, each defined once, with its unit and source.
 
-θ is no error: a method that creeps takes small steps far from the solution. A solution is held against the contact
-problem itself (`residual`: what is left unsolved) and against a solution, as `physics.exact` finds them
-(`velocity_error`). Impulses are not compared: with friction a pile has many that give the same velocities.
+θ is no error: a method that creeps takes small steps far from the solution. A solution is compared with the contact
+problem itself (`residual`: what is left unsolved) and with an exact solution, as `physics.exact` finds it
+(`velocity_error`). Impulses are not compared: with friction, many impulses of a pile give the same velocities.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from deep_contact.state.arrays import Bodies
 def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
     """v⁻ = v + Δt M⁻¹ F before contacts, after impacts: velocities (n, 2), m/s, and spins (n,), rad/s (Eq 2.27).
 
-    F: of gravity and pushes.
+    F: forces of gravity and pushes.
     """
     after, _ = after_impacts(state)
     bodies = after.bodies
@@ -30,7 +30,7 @@ def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
 
 
 def kinetic_energy(bodies: Bodies) -> float:
-    """Of all circles, translation and rotation, J."""
+    """Kinetic energy of all circles, translation and rotation, J."""
     bodies = bodies._replace(mass=bodies.free_mass)
     linear = np.einsum("i,ij,ij->", bodies.mass, bodies.velocity, bodies.velocity)
     return float(0.5 * (linear + bodies.inertia @ bodies.spin**2))
@@ -48,8 +48,8 @@ def energy_norm(bodies: Bodies, velocity: np.ndarray, spin: np.ndarray) -> float
 def velocity_error(state: State, solution: ContactSolution, reference: ContactSolution) -> float:
     """‖v − v*‖_M / ‖v* − v⁻‖_M, relative: the share of what contacts do to the velocities that is still wrong.
 
-    1 is the error of doing nothing. v*: of the reference; v⁻: `free_velocity`. Where contacts do nothing at all, it is
-    0 if v = v* and infinite if not.
+    1 is the error of doing nothing. v*: velocities of the reference; v⁻: `free_velocity`. If contacts do nothing at
+    all, the error is 0 for v = v*, and otherwise infinite.
     """
     free, spin = free_velocity(state)
     spinning = solution.angular_velocities - reference.angular_velocities
@@ -71,7 +71,7 @@ def _ends(state: State) -> tuple[np.ndarray, ...]:
 def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Relative velocities of the contacts along the normals and along the tangents, (m,) each, m/s.
 
-    J v, and the velocities of segments and of their surfaces.
+    They are J v, plus the velocities of segments and of their surfaces.
     """
     (a, b, arm_a, arm_b), normal = _ends(state), state.contacts.normal
     v, w = np.vstack([velocity, np.zeros((4, 2))]), np.append(spin, np.zeros(4))
@@ -82,7 +82,7 @@ def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tupl
 
 
 def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
-    """1 / (J M⁻¹ Jᵀ) of the normal and of the tangent rows, (m,) each, kg."""
+    """Effective masses 1 / (J M⁻¹ Jᵀ) of the normal and of the tangent rows, (m,) each, kg."""
     a, b, arm_a, arm_b = _ends(state)
     w, i = np.append(1 / state.bodies.mass, np.zeros(4)), np.append(1 / state.bodies.inertia, np.zeros(4))
     return 1 / (w[a] + w[b]), 1 / (w[a] + w[b] + arm_a**2 * i[a] + arm_b**2 * i[b])

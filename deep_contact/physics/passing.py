@@ -1,12 +1,14 @@
-"""Moving segments pass over circles that what rests holds in their way.
+"""Moving segments pass over circles that bodies at rest hold in their way.
 
 A circle between a segment that moves towards it and walls, segments or fixed circles at rest cannot keep clear of both.
-Solvers would let their impulses grow without end, and press it through one of them. What rests wins: while no velocity
-of the circle keeps it clear of both, the moving segment has no contact with it, and passes over it. The run warns once.
+A solver would let the impulses grow without end, and press the circle through one of them. The bodies at rest win: as
+long as no velocity of the circle keeps it clear of both, the moving segment has no contact with it, and passes over it.
+The run warns once.
 
-With d the direction in which the segment pushes, and n_r the normals from the circle to what rests, such a velocity
-exists unless d = Σ λ_r n_r with λ_r ≥ 0 (Farkas's lemma): d is one of the normals, or lies between two of them.
-Friction is left out. So are chains of circles, of which what rests holds the last: they are pressed into each other.
+With d the direction in which the segment pushes, and n_r the normals from the circle to the bodies at rest, such a
+velocity exists unless d = Σ λ_r n_r with λ_r ≥ 0 (Farkas's lemma): d is one of the normals, or lies between two of
+them. Friction is left out. Chains of circles are left out as well: if bodies at rest hold the last circle of a chain,
+its circles are pressed into each other.
 """
 
 from __future__ import annotations
@@ -26,10 +28,10 @@ PARALLEL = 1e-3
 
 @njit(cache=True, error_model="numpy")
 def without_passed(contacts, bodies, segments, drive, progress):
-    """The contacts without those of moving segments with circles that what rests holds in their way, in place.
+    """The contacts without those of moving segments with circles that bodies at rest hold in their way, in place.
 
-    contacts: at the bodies' positions, with geometry. segments: there. progress: of `StepLog`, which notes a circle
-    that has lost a contact so. drive: of the step.
+    contacts: at the bodies' positions, with geometry. segments: at the same time. progress: of `StepLog`; it records a
+    circle that has lost such a contact. drive: `Drive` of the step, or None.
     """
     if not has_moving(drive):
         return contacts
@@ -76,7 +78,7 @@ def pushes(contacts, i, s, segments, drive):
 
 @njit(inline="always")
 def rests(b, bodies, drive):
-    """Whether a body is a wall or a segment, or a fixed circle, that rests."""
+    """Whether body b is a wall, or a segment or fixed circle at rest."""
     n = bodies.mass.shape[0]
     if b >= n:
         return b < n + 4 or not moves(drive.wall, b - n - 4)
@@ -85,7 +87,10 @@ def rests(b, bodies, drive):
 
 @njit(inline="always")
 def note_normal(way, n_x, n_y, i, left, right):
-    """Let a normal to what rests be among those beside the way of circle i, in place."""
+    """Update the least angles between the push on circle i and normals on its two sides, in place, by one normal.
+
+    way: direction of the push. n_x, n_y: normal from circle i to a body at rest.
+    """
     angle = math.atan2(way[0] * n_y - way[1] * n_x, way[0] * n_x + way[1] * n_y)
     if angle >= -PARALLEL:
         left[i] = min(left[i], max(angle, 0.0))

@@ -1,16 +1,16 @@
-"""Position correction: what penetrates is pushed apart, without adding any speed.
+"""Position correction: penetrating bodies are pushed apart, and their velocities stay as they are.
 
-Nonlinear Gauss-Seidel as in Box2D 2.3: each contact, at the positions as they are by then, moves its bodies by a share
-of the penetration beyond the slop, by their inverse masses. For circles nothing turns.
+The method is the nonlinear Gauss-Seidel of Box2D 2.3: each contact in turn moves its two bodies, in proportion to their
+inverse masses, by a share of its present penetration beyond the slop. Circles do not turn.
 
-Circles are pushed along the line of their centres. Where many lie in almost the same place, each push changes the
-directions of the next, and all would follow the first pair along one line. So a pair whose line has turned by more than
-60° since the narrow phase is pushed along the normal that this found.
+Circles are pushed along the line of their centres. If many circles lie in almost the same place, each push changes the
+directions of the next pushes, and all circles would follow the first pair along one line. A pair whose line has turned
+by more than 60° since the narrow phase is therefore pushed along the normal of the narrow phase.
 
-`correct_tiles` does eight contacts at a time that share no circle. Contacts are put into levels for it, each after all
-contacts before it that share a circle with it, so that every circle meets its contacts in the order of the list; and no
-product is fused with a sum. So it computes the same bits as contact by contact, and `correct_positions` takes the way
-that costs less.
+`correct_tiles` corrects eight contacts at a time that share no circle. For this, contacts are sorted into levels: the
+level of a contact comes after those of all earlier contacts that share a circle with it, so that every circle meets its
+contacts in the order of the list. No product is fused with a sum. The result therefore has the same bits as contact by
+contact, and `correct_positions` takes the cheaper of the two.
 """
 
 from __future__ import annotations
@@ -40,44 +40,45 @@ from deep_contact.physics.segments import segment_gap
 from deep_contact.state.arrays import RIGHT, TOP, WALL_NORMALS
 
 IDLE = 4
-"""The idle body among the five behind the circles, with which unused lanes are filled; 0 to 3 are the walls."""
+"""Index of the idle body, which fills unused lanes, among the five bodies behind the circles; 0 to 3 are the walls."""
 
 _IDLE_RADIUS = 1e-200
-"""Of the idle body, m: not 0, so that it is found to coincide with itself, and never beyond a slop."""
+"""Radius of the idle body, m. It is not 0, so that the body coincides with itself, but never penetrates by a slop."""
 
 _HEAVY = 1e200
-"""Mass of a fixed circle among tiles, kg: what it would be pushed by lies far below rounding, and is not taken."""
+"""Mass of a fixed circle in tiles, kg: its displacement lies far below rounding, and is not written back."""
 
 TURNED = 0.5
-"""Cosine of the angle between the line of the centres and the normal that was found, below which the latter counts."""
+"""Cosine of the angle between the line of centres and the normal of the narrow phase, below which that normal is
+used."""
 
 _FEW = 3
-"""Sweeps for which levels do not pay: they cost about as much as three sweeps contact by contact."""
+"""Number of sweeps up to which levels do not pay: they cost about as much as three sweeps contact by contact."""
 
 _FILLED = 8
 """Mean number of contacts in a level from which on tiles cost less: in a column each level is one contact."""
 
 _PATIENCE = 50
-"""Corrections contact by contact after levels were found too empty: a pile does not widen in a few steps."""
+"""Number of corrections contact by contact after levels were too empty: a pile does not widen in a few steps."""
 
 CORRECTION_MEMORY = np.dtype([("sweeps", np.int64), ("wait", np.int64)])
-"""Sweeps of the last correction, and corrections until levels are tried again."""
+"""Number of sweeps of the last correction, and of corrections until levels are tried again."""
 
 
 class CorrectionRoom(NamedTuple):
     """Buffers of `correct_positions` for n circles and M contacts."""
 
-    level: np.ndarray  # (n,): of a circle: the first level that none of its contacts is in
-    batch: np.ndarray  # (M,): of a contact: its level
-    fill: np.ndarray  # (M,): of a level: contacts in it, then its next free place
+    level: np.ndarray  # (n,): for each circle, the first level without a contact of it
+    batch: np.ndarray  # (M,): level of each contact
+    fill: np.ndarray  # (M,): for each level, the number of its contacts, and then its next free place
     body: np.ndarray  # (T, 2, 8): a, b as rows of `centre`, eight contacts a tile
-    normal: np.ndarray  # (T, 2, 8): of the contacts, likewise
-    centre: np.ndarray  # (n + 5, 4): see `fill_ground`; first the circles
+    normal: np.ndarray  # (T, 2, 8): normals of these contacts
+    centre: np.ndarray  # (n + 5, 4): the circles, and the five bodies of `fill_ground`
     memory: np.ndarray  # (1,): `CORRECTION_MEMORY`
 
 
 def make_correction_room(n, capacity):
-    """Buffers for so many circles and contacts."""
+    """Buffers for n circles and `capacity` contacts."""
     tiles = capacity // WIDTH + capacity // _FILLED + 1
     return CorrectionRoom(
         np.empty(n, np.int64), np.empty(capacity, np.int64), np.empty(capacity, np.int64),
@@ -93,8 +94,8 @@ _larger_room = njit(cache=True)(make_correction_room)
 def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
     """Push the circles apart, in place, until none penetrates deeper than three slops, or `sweeps` sweeps are done.
 
-    room: `CorrectionRoom`. What it remembers of the corrections before tells which way costs less; it changes no bit.
-    Tiles know walls alone, so with segments it is always contact by contact.
+    room: `CorrectionRoom`. Its memory of earlier corrections decides which way is cheaper, and changes no bit of the
+    result. Tiles support walls but no segments, so that scenes with segments are corrected contact by contact.
     """
     n, m, memory = bodies.mass.shape[0], contacts.body_a.shape[0], room.memory[0]
     if m > room.batch.shape[0]:
@@ -128,7 +129,7 @@ def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
 
 @njit(cache=True, error_model="numpy")
 def correct_in_turn(bodies, contacts, box, segments, scales):
-    """One sweep, contact by contact, in place. Returns the deepest separation, m, or 0."""
+    """One sweep of position correction, contact by contact, in place. Returns the deepest separation, m, or 0."""
     n = bodies.mass.shape[0]
     position, radius, mass = bodies.position, bodies.radius, bodies.mass
     slop, skin, longest = scales.slop, scales.wall_skin, scales.max_correction
@@ -145,7 +146,7 @@ def correct_in_turn(bodies, contacts, box, segments, scales):
             distance = math.sqrt(d_x * d_x + d_y * d_y)
             separation = distance - reach
             m_a, m_b = mass[a], mass[b]
-            if m_a == math.inf or m_b == math.inf:  # the other one goes all the way
+            if m_a == math.inf or m_b == math.inf:  # the other circle takes the whole displacement
                 m_a, m_b = (1.0, 0.0) if m_a == math.inf else (0.0, 1.0)
             push = min(BAUMGARTE * (wanted - distance), longest) / (m_a + m_b)
             n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
@@ -174,9 +175,10 @@ def correct_in_turn(bodies, contacts, box, segments, scales):
 
 @njit(cache=True)
 def correct_tiles(body, normal, stride, centre, first, last, scales):
-    """`correct_in_turn` over the tiles from `first` to before `last`, in place: the same bits, eight at a time.
+    """`correct_in_turn` over the tiles from `first` to before `last`, in place: eight contacts at a time, equal bits.
 
-    body: (T, 2, 8), rows of `centre` (`fill_ground`). normal: (T, stride, 8), the first two as they were found.
+    body: (T, 2, 8), rows of `centre` (`fill_ground`). normal: (T, stride, 8), whose first two rows are the normals of
+    the narrow phase.
     """
     none, tiny, turned = spread(0.0), spread(SMALLEST_DISTANCE), spread(TURNED)
     slop, share, longest = spread(scales.slop), spread(BAUMGARTE), spread(scales.max_correction)
@@ -188,14 +190,14 @@ def correct_tiles(body, normal, stride, centre, first, last, scales):
         wanted = most(reach - slop, none)
         square, squared = times(d_x, d_x) + times(d_y, d_y), times(wanted, wanted)
         found_x, found_y = load(normal, stride * t), load(normal, stride * t + 1)
-        # A mass of 0 is a wall's: its normal is given, and a alone moves.
+        # A mass of 0 marks a wall: its normal is fixed, and body a alone moves.
         along = times(d_x, found_x) + times(d_y, found_y)
         behind = along - r_a - r_b
         if not any_less(none, where_less(none, m_b, squared - square, none - slop - behind)):
             continue  # Nothing to correct; found without a square root.
         distance = simd.root(square)
         push = least(times(share, wanted - distance), longest) / (m_a + m_b)
-        # Coinciding centres, and those that have turned, are pushed along the normal that the narrow phase gave them.
+        # Pairs with coinciding centres, and pairs that have turned, are pushed along the normal of the narrow phase.
         beyond = where_less(distance, times(tiny, reach), none, along - times(turned, distance))
         push = where_less(none, beyond, push / distance, push)
         push = where_less(square, squared, push, none)
@@ -216,9 +218,9 @@ def correct_tiles(body, normal, stride, centre, first, last, scales):
 
 @njit(cache=True)
 def fill_levels(contacts, n, room):
-    """Put the contacts into tiles of the room, level after level. Returns the tiles; 0 where these would be too empty.
+    """Sort the contacts into tiles, level by level. Returns the number of tiles; 0 if these would be too empty.
 
-    A contact goes into the first level after those of the contacts before it that share a circle with it.
+    The level of a contact is the first one after the levels of all earlier contacts that share a circle with it.
     """
     level, batch, fill = room.level, room.batch, room.fill
     m, levels = contacts.body_a.shape[0], 0
@@ -258,7 +260,7 @@ def fill_levels(contacts, n, room):
 
 @njit(cache=True)
 def fill_centres(bodies, centre):
-    """Write x, y, radius and mass of the circles into the first rows."""
+    """Write x, y, radius and mass of the circles into the first rows of `centre`, in place."""
     for i in range(bodies.mass.shape[0]):
         centre[i, 0], centre[i, 1] = bodies.position[i, 0], bodies.position[i, 1]
         centre[i, 2], centre[i, 3] = bodies.radius[i], min(bodies.mass[i], _HEAVY)
@@ -266,10 +268,10 @@ def fill_centres(bodies, centre):
 
 @njit(cache=True)
 def fill_ground(box, scales, ground):
-    """Write the five bodies that are not circles, (5, 4): four walls and the idle one.
+    """Write the five bodies that are not circles, (5, 4), in place: the four walls and the idle body.
 
-    Columns as of circles: x, y, radius, mass. A wall is a corner of the box that lies on it, with the skin as radius
-    and a mass of 0, by which it is known.
+    The columns are x, y, radius and mass, as for circles. A wall is stored as a corner of the box that lies on it, with
+    the skin as radius, and with a mass of 0, which marks it as a wall.
     """
     for wall in range(4):
         ground[wall, 0] = box[2] if wall == RIGHT or wall == TOP else box[0]
@@ -280,7 +282,7 @@ def fill_ground(box, scales, ground):
 
 @njit(cache=True)
 def take_centres(centre, bodies):
-    """Write the corrected positions into the bodies, in place."""
+    """Write the corrected positions into the bodies that are not fixed, in place."""
     for i in range(bodies.mass.shape[0]):
         if bodies.mass[i] < math.inf:
             bodies.position[i, 0], bodies.position[i, 1] = centre[i, 0], centre[i, 1]

@@ -1,9 +1,9 @@
 """The path of a proximal step of `exact`, by Lemke's algorithm, and how impulses change along it.
 
-As long as no contact changes its state, dλ as t grows satisfies one equation a row: (A + ε diag(A)) dλ = −q where the
-velocity stays 0; where λ stays on a bound, that bound. A contact that changes its state replaces one or two rows, and
-the solution changes by a multiple of the row's column of the inverse (Sherman and Morrison 1950): SuperLU factorises
-once a step, and anew after `REFRESH` rows.
+As long as no contact changes its state, the derivative dλ by t satisfies one equation for each row: (A + ε diag(A)) dλ
+= −q if the velocity stays 0, and the equation of the bound if λ stays on a bound. A contact that changes its state
+replaces one or two rows. The solution then changes by a multiple of the row's column of the inverse (Sherman and
+Morrison 1950), so that SuperLU factorises once a step, and again after `REFRESH` replaced rows.
 """
 
 from __future__ import annotations
@@ -21,19 +21,21 @@ OPEN, STICK, SLIP_UP, SLIP_DOWN = range(4)
 """States of a contact: λ = 0; u = 0; u_n = 0 and λ_t = μ λ_n, where u_t <= 0; λ_t = −μ λ_n, where u_t >= 0."""
 
 AT_START, AT_END, NOWHERE = -1, -2, -3
-"""In place of a contact that changes: none has yet, t = 0 is reached before, or the path leads nowhere."""
+"""Values in place of the contact that changes next: no contact has changed yet; t = 0 is reached before a change; the
+path leads nowhere."""
 
 MOST_TURNS = 30
-"""A step is given up after so many pivots with t growing: a larger ε is cheaper than a long path."""
+"""Largest number of pivots of a step with t growing. The step is then abandoned: a larger ε is cheaper than a long
+path."""
 
 REFRESH = 48
-"""Rows after which the equations are factorised anew: by then their columns cost as much as that."""
+"""Number of replaced rows after which the equations are factorised anew: their columns then cost as much as that."""
 
 
 def follow(problem: ContactProblem, epsilon: float, states, x, u, q, limit: int) -> tuple[bool, int, int]:
-    """Withdraw the shift q of the velocities, t q from t = 1 to 0: (whether t = 0 is reached, pivots, factorisations).
+    """Withdraw the shift t q of the velocities from t = 1 to 0: (whether t = 0 is reached, pivots, factorisations).
 
-    States, λ and u, (m,) and (m, 2) each, belong to t = 1 and are changed in place. The path is given up after `limit`
+    states, (m,), λ = x and u, (m, 2) each, are those of t = 1, and change in place. The path is abandoned after `limit`
     pivots and factorisations.
     """
     equations = Equations(problem, epsilon, states, q)
@@ -51,8 +53,8 @@ def follow(problem: ContactProblem, epsilon: float, states, x, u, q, limit: int)
 class Equations:
     """The equations of a step for states that change one contact at a time, and their solution dλ.
 
-    states: (m,), those of the path, which changes them. Rows are scaled by the diagonal of A, so that all are of one
-    size whatever the masses. Where the equations are singular dλ is NaN.
+    states: (m,), those of the path, which changes them. Rows are scaled by the diagonal of A, so that all rows are of
+    one size whatever the masses. If the equations are singular, dλ is NaN.
     """
 
     def __init__(self, problem: ContactProblem, epsilon: float, states: np.ndarray, q: np.ndarray):
@@ -63,7 +65,7 @@ class Equations:
         self.factorise()
 
     def factorise(self) -> None:
-        """Solve them by factors of these states."""
+        """Factorise the equations of the present states, and solve them."""
         self.factorizations += 1
         self.replaced: list[tuple] = []  # the column of the inverse, the row before and the row after
         still = np.column_stack([self.states != OPEN, self.states == STICK]).ravel()
@@ -78,11 +80,11 @@ class Equations:
                 rows.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True}
             )
             self.dx = self.factors.solve(np.where(still, -self.q, 0.0), trans="T")
-        except RuntimeError:  # they are singular
+        except RuntimeError:  # the equations are singular
             self.dx = np.full(self.q.size, np.nan)
 
     def row(self, i: int) -> tuple[np.ndarray, np.ndarray, float]:
-        """Row i: its columns, its entries, its right side."""
+        """Row i of the equations: its columns, its entries, its right-hand side."""
         contact, is_tangent = divmod(i, 2)
         state = self.states[contact]
         if state == STICK or (state != OPEN and not is_tangent):
@@ -94,7 +96,7 @@ class Equations:
         return np.array([i - 1, i]), self.scale[i] * np.array([side * self.friction[contact], 1.0]), 0.0
 
     def change(self, contact: int, previous: int) -> None:
-        """Solve them for the new state of a contact, where it had another before."""
+        """Update the solution after a contact has changed its state. previous: its state before."""
         if len(self.replaced) >= REFRESH:
             return self.factorise()
         new = self.states[contact]
@@ -123,7 +125,10 @@ class Equations:
 
 @njit(cache=True)
 def slack(state, to, friction, x_n, x_t, u_n, u_t):
-    """What must stay >= 0 for a contact not to go from its state to another. Linear, so its rate is that of x, u."""
+    """The number that stays >= 0 as long as a contact does not change from `state` to `to`.
+
+    It is linear in x and u: with their rates as arguments, the function returns its rate.
+    """
     if state == OPEN:
         return u_n
     if state == STICK:
@@ -137,13 +142,13 @@ def slack(state, to, friction, x_n, x_t, u_n, u_t):
 def first_change(states, friction, x, u, dx, du, sign):
     """The first contact to leave its state along sign (dx, du), (m, 2) each: (length, contact or −1, its new state).
 
-    The one that changed last does not go straight back, though it stands on that bound: the sign is such that it
-    leaves it. One that closes is said to slip up: which way it slips is told by u_t there.
+    The contact that changed last stands on the bound of its state before, but does not change back at once: with this
+    sign it leaves that bound. A contact that closes gets the state of slipping up; u_t then decides its direction.
     """
     least, contact, new = math.inf, -1, OPEN
     for i in range(states.shape[0]):
         state, mu = states[i], friction[i]
-        # A contact goes from open to slipping only, and from one slip to the other by sticking.
+        # A contact changes from open to slipping only, and from one direction of slip to the other by sticking.
         first = OPEN if state >= SLIP_UP else SLIP_UP
         for to in (first, SLIP_DOWN if state == STICK else STICK if state != OPEN and mu > 0.0 else first):
             rate = sign * slack(state, to, mu, dx[i, 0], dx[i, 1], du[i, 0], du[i, 1])
@@ -156,7 +161,7 @@ def first_change(states, friction, x, u, dx, du, sign):
 
 @njit(cache=True, error_model="numpy")
 def _next_pivot(states, friction, point, rates, t, contact, previous):
-    """Go on, in place, from the change of `contact` to the next. point: (λ, u). rates: what they change by as t grows.
+    """Follow the path, in place, from the change of `contact` to the next change. point: (λ, u). rates: by t.
 
     Returns (t, the next contact, its state before, whether t grew).
     """
@@ -167,7 +172,7 @@ def _next_pivot(states, friction, point, rates, t, contact, previous):
     if total != 0.0:  # not finite
         return t, NOWHERE, previous, False
     if contact >= 0:
-        # The contact has to go on into its new state, whichever way that makes t go.
+        # The contact has to go on into its new state, whether t grows by that or falls.
         x_n, x_t, u_n, u_t = dx[contact, 0], dx[contact, 1], du[contact, 0], du[contact, 1]
         sign = 1.0 if slack(states[contact], previous, friction[contact], x_n, x_t, u_n, u_t) > 0.0 else -1.0
     length, contact, new = first_change(states, friction, x, u, dx, du, sign)

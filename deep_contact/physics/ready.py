@@ -1,4 +1,4 @@
-"""The border of the engine: what comes in is checked here, and only here."""
+"""The border of the engine: states are checked and completed here, and only here."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _FINITE = (-np.finfo(np.float64).max, np.finfo(np.float64).max)
 _SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.normal_start"][:2]
 
 _KINDS = [(array.dtype, array.ndim) for array in (*make_bodies([[0.0, 0.0]]), *no_contacts())]
-"""Type and dimensions of the arrays of bodies and contacts."""
+"""Data type and number of dimensions of each array of bodies and contacts."""
 
 COINCIDENT = 0.1
 """Distance of two centres, in the smaller radius, below which `simulate` warns."""
 
 
 def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
-    """The state checked and completed: valid, within limits, its arrays as compiled code takes them, contacts found.
+    """The state, checked and completed: valid, within limits, with contacts, and with arrays for compiled code.
 
-    of_step: with those contacts of a solved state that came during its step; otherwise without.
-    Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.arrays.LIMITS`.
+    of_step: whether to keep those contacts of a solved state that came during its step.
+    Raises ValueError naming the quantity and the value, and the limit if the value is beyond `state.arrays.LIMITS`.
     """
     check_types(state)
     if not (has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
@@ -47,10 +47,10 @@ def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
 
 
 def find_contacts(state: State) -> StateWithContacts:
-    """The state with the contacts at its positions: they are found, and nothing is solved.
+    """The state with the contacts at its positions. No impulses are solved.
 
-    Pairs that were contacts of the state keep their impulses, others have none. What was solved stays solved where no
-    contact comes or goes. Raises ValueError on a state that does not hold together.
+    Pairs that were contacts of the state keep their impulses; new pairs have impulses of 0. A solved state stays solved
+    if no contact comes or goes. Raises ValueError on a state that is not valid.
     """
     old = ready(state)
     if state.contacts is None:
@@ -67,7 +67,7 @@ def find_contacts(state: State) -> StateWithContacts:
 
 
 def _at_its_begin(state: StateWithContacts) -> StateWithContacts:
-    """The solved state without the contacts that came during its step: they started from 0, and are not yet there."""
+    """The solved state without contacts that came during its step: started from 0, and not touching at its start."""
     contacts, n = state.contacts, state.bodies.count
     later = (contacts.normal_start == 0.0) & (contacts.tangent_start == 0.0)
     if later.any():
@@ -78,7 +78,7 @@ def _at_its_begin(state: StateWithContacts) -> StateWithContacts:
 
 
 def _warn_of_coincidence(state: StateWithContacts) -> None:
-    """Warn where two circles of a scene nearly coincide, so that chance decides in which direction they part."""
+    """Warn if two circles of a scene nearly coincide, so that chance decides the direction in which they separate."""
     bodies, (a, b) = state.bodies, state.contacts[:2]
     a, b = a[b < bodies.count], b[b < bodies.count]
     apart = np.hypot(*(bodies.position[b] - bodies.position[a]).T)
@@ -90,7 +90,7 @@ def _warn_of_coincidence(state: StateWithContacts) -> None:
 
 
 def _warn_of_outside(state: StateWithContacts) -> None:
-    """Warn where circles of a scene have their centres outside of the box: its walls pull them in, through others."""
+    """Warn if circles of a scene have centres outside of the box: its walls pull them in, through other circles."""
     position, box = state.bodies.position, state.world.box
     is_outside = ((position < box[:2]) | (position > box[2:])).any(axis=1)
     outside = np.flatnonzero(is_outside & ~state.bodies.is_fixed)
@@ -101,7 +101,7 @@ def _warn_of_outside(state: StateWithContacts) -> None:
 
 
 def has_engine_arrays(state: State) -> bool:
-    """Whether all arrays are of the kind that compiled functions were compiled for: what `check_state` makes them."""
+    """Whether all arrays have the types that compiled functions take. `check_state` gives them these types."""
     return state.contacts is not None and all(
         type(array) is np.ndarray and array.dtype == dtype and array.ndim == ndim and array.flags.carray
         for array, (dtype, ndim) in zip((*state.bodies, *state.contacts), _KINDS)
@@ -110,7 +110,7 @@ def has_engine_arrays(state: State) -> bool:
 
 @njit(cache=True)
 def is_valid(bodies, contacts, segments=0):
-    """Whether arrays of the right kind pass `check_state` and `check_limits`. segments: how many the world has."""
+    """Whether arrays of the right types pass `check_state` and `check_limits`. segments: their number."""
     n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
     end = n + 4 + segments
     for values, count, limits in (
@@ -129,7 +129,7 @@ def is_valid(bodies, contacts, segments=0):
             return False
     if contacts.body_b.shape[0] != m:
         return False
-    # Without branches, and in loops of one kind, so that they vectorise: what is valid is looked at to the end anyway.
+    # Loops without branches vectorise. They need no early end, since a valid state is read to the end anyway.
     valid, (lightest, heaviest) = True, _MASS
     for i in range(n):
         valid &= (lightest <= bodies.mass[i]) & ((bodies.mass[i] <= heaviest) | (bodies.mass[i] == np.inf))

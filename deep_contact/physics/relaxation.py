@@ -1,13 +1,14 @@
 """Impulses at which a pile rests, from its positions alone: the convex relaxation of the contact problem.
 
-Coulomb's law has several solutions for one state: the same circles may rest or slide. Sweeps find one that slides.
-The relaxation min ½ ‖M^½ (v + M⁻¹ Jᵀ λ)‖² over the cones |λ_t| ≤ μ λ_n (Anitescu 2006) has those that rest as its
-minima, where there are any, since their energy is 0. What it finds where nothing rests is no solution of Coulomb's law:
-circles that slide part.
+Coulomb's law has several solutions for one state: the same circles may rest or slide. Sweeps find a solution that
+slides. The minima of the relaxation ½ ‖M^½ (v + M⁻¹ Jᵀ λ)‖² over the cones |λ_t| ≤ μ λ_n (Anitescu 2006) are the
+solutions at rest, if there are any, since their energy is 0. If no solution rests, a minimum does not satisfy Coulomb's
+law: circles that slide also separate.
 
-Accelerated projected gradients (Nesterov 1983), started anew where the gradient says so (O'Donoghue and Candès 2015).
-The largest eigenvalue, from which the length of a step follows, is a lower bound: each step tells whether its own
-Rayleigh quotient is larger, and then they go on from there with shorter ones (backtracking, Beck and Teboulle 2009).
+The method is that of accelerated projected gradients (Nesterov 1983), with restarts by the gradient scheme (O'Donoghue
+and Candès 2015). The length of a step follows from the largest eigenvalue, of which only a lower bound is known. If the
+Rayleigh quotient of a step is larger than this bound, the bound is raised, and later steps are shorter (backtracking,
+Beck and Teboulle 2009).
 """
 
 from __future__ import annotations
@@ -32,20 +33,20 @@ from deep_contact.physics.contact_solver import (
 )
 
 LOOKS = 25
-"""Iterations between two looks at whether the circles rest; and those of the power method."""
+"""Iterations between two tests of whether the circles rest, and iterations of the power method."""
 
 SPARE = 1.1
-"""Of an eigenvalue that is bounded from below."""
+"""Factor on the lower bound of the largest eigenvalue."""
 
 GOLDEN = 0.6180339887498949
-"""Golden section, whose multiples by squares have no pattern modulo 1."""
+"""Golden section. Its products with square numbers have no pattern modulo 1."""
 
 
 def at_rest(problem, normal, tangent, *, iterations: int, speed: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """(λ_n, λ_t), (m,) each, N·s, and the rms speed of the circles that they leave, m/s.
+    """(λ_n, λ_t, rms speed): impulses of the relaxation, (m,) each, N·s, and the speed of the circles after them, m/s.
 
-    problem: `StepProblem` with tangents. normal, tangent: impulses to start from. iterations: at most so many; they end
-    once the rms speed is no more than `speed`.
+    problem: `StepProblem` with tangent rows. normal, tangent: impulses to start from, (m,) each, N·s. iterations: their
+    largest number. speed: rms speed at which the iterations end, m/s.
     """
     rows, v = problem.rows, problem.solver_bodies.copy()
     rows = rows._replace(impulse=np.column_stack([normal, tangent]))
@@ -56,7 +57,7 @@ def at_rest(problem, normal, tangent, *, iterations: int, speed: float) -> tuple
 
 @njit(cache=True, error_model="numpy", fastmath=CONTRACT)
 def relax_cones(rows, friction, v, iterations, speed):
-    """`at_rest`, in place on the impulses of the rows and on the velocities v, (n + 4, 4), that have them."""
+    """`at_rest`, in place on the impulses of the rows and on the velocities v, (n + 4, 4), which include them."""
     impulse, old = rows.impulse, rows.impulse.copy()
     ahead, before, t = v.copy(), v.copy(), 1.0
     trial, largest = impulse.copy(), largest_eigenvalue(rows, friction, ahead)
@@ -73,7 +74,7 @@ def relax_cones(rows, friction, v, iterations, speed):
         share, t = (t - 1.0) / following, following
         energy = energy_of_change(v, ahead)
         if energy > largest * square > 0.0:
-            # At most the trace, also where the change is nothing but rounding.
+            # The trace bounds the eigenvalue, also if the change is nothing but rounding.
             largest, along = min(SPARE * energy / square, 4.0 * impulse.shape[0]), math.inf
         if along > 0.0:
             share, t = 0.0, 1.0
@@ -93,10 +94,10 @@ def relax_cones(rows, friction, v, iterations, speed):
 
 @njit(cache=True, error_model="numpy", fastmath=CONTRACT)
 def approach(rows, friction, v, step, trial, old):
-    """A step down the gradient J v from the trial impulses, in place, cut to the cones.
+    """A step from the trial impulses against the gradient J v, in place, projected onto the cones.
 
-    Steps are scaled by the effective masses, the same for both rows of a contact, which leaves its cone as it is.
-    Returns the gradient times the change from the old impulses, and the square of the step, so scaled.
+    Both rows of a contact are scaled by the effective mass of its normal row, which leaves its cone as it is. Returns
+    the gradient times the change from the old impulses, and the square of the scaled step.
     """
     body, data, along, square = rows.body, rows.data, 0.0, 0.0
     for i in range(body.shape[0]):
@@ -122,9 +123,10 @@ def nearest_in_cone(p_n, p_t, friction):
 
 @njit(cache=True, error_model="numpy")
 def largest_eigenvalue(rows, friction, v):
-    """That of J M⁻¹ Jᵀ scaled by the effective masses, by the power method, with a tenth to spare.
+    """Largest eigenvalue of J M⁻¹ Jᵀ, scaled by the effective masses, by the power method, times `SPARE`.
 
-    It starts from numbers without a pattern: no symmetry of a scene makes them orthogonal to what is sought.
+    The iteration starts from numbers without a pattern, which no symmetry of a scene makes orthogonal to the
+    eigenvector.
     """
     m, largest = rows.body.shape[0], 1.0
     x, impulse = np.empty((m, 2)), np.empty((m, 2))
@@ -161,7 +163,7 @@ def energy_of_change(v, before):
 
 @njit(cache=True, fastmath=CONTRACT)
 def rms_speed(v):
-    """Of the circles that yield, m/s."""
+    """Root mean square speed of the circles that are not fixed, m/s."""
     total, n = 0.0, 0
     for a in range(v.shape[0] - 4):
         if v[a, INVERSE_MASS] > 0.0:

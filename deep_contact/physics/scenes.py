@@ -1,6 +1,6 @@
-"""Scenes: states at time 0. Every random one takes a seed or a `numpy.random.Generator`; same seed, same bits.
+"""Scenes: states at time 0. Random scenes take a seed or a `numpy.random.Generator`; the same seed gives the same bits.
 
-Circles are placed by multiples of their mean radius, so that lengths times s are the same scene, s times as large.
+Circles are placed by multiples of their mean radius, so that all lengths times s give the same scene, s times as large.
 """
 
 from __future__ import annotations
@@ -153,8 +153,8 @@ def hopper(
 def terrain(n_bodies: int = 300, *, bumps: int = 24, seed: int | np.random.Generator = 0, **options) -> State:
     """Circles on a jittered lattice above a line of slopes and valleys from wall to wall.
 
-    bumps: segments of the line; the heights of their joints are drawn, from 0 to the length of one. options: those of
-    `lattice_in_box`.
+    bumps: number of segments of the line. The heights of their joints are random, from 0 to the width of a segment.
+    options: those of `lattice_in_box`.
     """
     rng = _generator(seed)
     heap = lattice_in_box(n_bodies, seed=rng, **options)
@@ -174,9 +174,10 @@ def drum(n_bodies: int = 300, *, froude: float = 0.05, filling: float = 0.4, sid
     """Circles in a drum that turns counter-clockwise: a regular polygon of segments whose surface moves.
 
     froude: ω² R / g, with the drum's radius R: at 1e-3 avalanches follow one another, from 1e-2 to 1e-1 the surface
-    flows, beyond 1 circles stick to the wall. filling: share of the area that a dense packing of the circles takes, up
-    to 0.45; less for mixed radii, whose lattice, which falls from the middle, takes more room. sides: of the polygon.
-    options: those of `lattice_in_box`. Raises ValueError for a drum that turns without gravity.
+    flows, beyond 1 circles stick to the wall. filling: share of the drum's area that a dense packing of the circles
+    takes, up to 0.45; less for mixed radii, since their lattice, which falls from the middle, takes more space. sides:
+    number of sides of the polygon. options: those of `lattice_in_box`. Raises ValueError for a drum that turns without
+    gravity.
     """
     number("froude", froude, low=0)
     number("filling", filling, low=0.01, high=0.45)
@@ -187,11 +188,11 @@ def drum(n_bodies: int = 300, *, froude: float = 0.05, filling: float = 0.4, sid
     half = 0.5 * math.hypot(*heap.world.box[2:])  # so that the corners of the lattice lie within
     area = 2.0 * math.sqrt(3.0) * float((heap.bodies.radius**2).sum())
     outer = max(math.sqrt(area / (math.pi * filling)), half / math.cos(math.pi / sides))
-    # The box stands clear of the drum: a wall that a circle touches beside it would brake it.
+    # The box stands clear of the drum: a circle that also touched a wall of the box would be slowed down.
     middle = outer + float(heap.bodies.radius.max())
     corner = 2.0 * math.pi * np.arange(sides + 1) / sides
     line = middle + outer * np.stack([np.cos(corner), np.sin(corner)], axis=1)
-    line[-1] = line[0]  # to the last bit: ends that two segments share
+    line[-1] = line[0]  # to the last bit, since two segments share this end
     world = replace(
         heap.world,
         box=(0, 0, 2 * middle, 2 * middle),
@@ -204,9 +205,9 @@ def drum(n_bodies: int = 300, *, froude: float = 0.05, filling: float = 0.4, sid
 
 @suggesting
 def barrel(rows: int = 150, *, columns: int = 26, seed: int | np.random.Generator = 0, **options) -> State:
-    """Columns of circles side by side in a vessel that leaves them 18 radii on either side: they fall apart.
+    """Columns of circles side by side, with a free space of 18 radii on either side, into which they collapse.
 
-    As in the benchmark "barrel" of Box2D v3. options: those of `lattice_in_box`.
+    The scene is that of the benchmark "barrel" of Box2D v3. options: those of `lattice_in_box`.
     """
     columns = integer("columns", columns, least=1)
     heap = lattice_in_box(integer("rows", rows, least=1) * columns, columns=columns, seed=seed, **options)
@@ -251,7 +252,7 @@ def drifting_circles(
 
 
 def _generator(seed) -> np.random.Generator:
-    # NumPy takes sequences, too, and ends the process on a matrix.
+    # NumPy also accepts sequences, and ends the process on a matrix.
     if isinstance(seed, np.random.Generator):
         return seed
     if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
@@ -260,7 +261,7 @@ def _generator(seed) -> np.random.Generator:
 
 
 def _positive(name: str, values, shapes, expected: str) -> np.ndarray:
-    """As float64. Raises ValueError unless they are finite numbers > 0 of one of these shapes."""
+    """The values as float64. Raises ValueError unless they are finite numbers > 0 of one of these shapes."""
     array = real_numbers(values)
     if array is None or array.shape not in shapes or not (np.isfinite(array) & (array > 0)).all():
         raise ValueError(f"{name}: expected {expected}, got {brief(values)}")
@@ -275,10 +276,10 @@ def _checked_radius(radius) -> tuple[float, float]:
 
 
 def _roomy_size(radii: np.ndarray, sigma_coef: float) -> float:
-    """Side of a box, m, in which drawing centres finds room for circles of these radii.
+    """Side of a box, m, in which `circles_in_box` finds places for circles of these radii.
 
-    They cover at most a quarter of it, and their radii squared add up to at most six variances of the centres: where
-    drawing fails, it is at 6.3 to 8.8 of them (136 to 2,098 circles).
+    The circles cover at most a quarter of the box, and the sum of their squared radii is at most six times the variance
+    of the centres: from 6.3 times on, random centres for all circles are not always found.
     """
     length = mean(radii)
     squares = float(((radii / length) ** 2).sum())

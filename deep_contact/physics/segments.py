@@ -1,17 +1,17 @@
-"""Segments: lines beside the box, felt from both sides and at their ends (`World.segments`).
+"""Segments: lines beside the box, with contacts on both sides and at their ends (`World.segments`).
 
 A segment is (x_0, y_0, x_1, y_1), m, and the speed of its surface, m/s; the segments of a world are an array (S, 5).
-Where a circle is nearest to an end, the contact is that with a point. An end that lies on another segment or on a wall
-of the box, or just behind it, is no point of its own: that surface has the contact (`touches`). Ghost vertices do
-this in chains of Box2D 2.3; without them, a circle that rolls over a joint stumbles.
+If an end is the nearest point of a segment, the contact of a circle is that with a point. An end that lies on another
+segment or on a wall of the box, or just behind it, has no contact of its own: the other surface has it (`touches`).
+Ghost vertices do this in chains of Box2D 2.3. Without this rule, a circle that rolls over a joint stumbles.
 
-No centre ever crosses a segment that rests: fast circles touch it (`continuous`), and what sweeps or position
-correction would still push through is held on its side (`hold_beside`). A segment that moves on into a circle which
-what rests holds passes over it (`passing`).
+No centre ever crosses a segment at rest. Continuous collision stops fast circles at it (`continuous`), and a centre
+that sweeps or position correction would push through it is clamped to its side (`hold_beside`). A moving segment passes
+over a circle that resting bodies hold in its way (`passing`).
 
-A grid of cells tells which of them are within reach of a place (`in_grid`): it is made once a run, and where a segment
-moves (`step.Drive`), after each of its moves. What a circle does beside such a segment is looked at as the segment sees
-it: with the circle's way begun where the segment would have carried it (`carried`).
+A grid of cells lists the segments within reach of a place (`in_grid`). It is made once a run, and again after each move
+of a segment (`step.Drive`). The path of a circle relative to a moving segment begins at the point to which the segment
+would have carried the circle's first position (`carried`).
 """
 
 from __future__ import annotations
@@ -26,30 +26,31 @@ from deep_contact.constants import NEARLY
 from deep_contact.state import World
 
 BESIDE, START, END = range(3)
-"""What of a segment is nearest to a point: its inside, or one of its ends."""
+"""The part of a segment that is nearest to a point: its interior, or one of its ends."""
 
 _ROUNDING = 1e-9
-"""A path that crosses the line this far beyond an end, in lengths of the segment, crosses the segment: at a joint it
-must not slip between two. And how far from 1 the cosine of a normal across the segment may be."""
+"""Tolerance for rounding. A path that crosses the line of a segment up to this far beyond an end, in lengths of the
+segment, counts as crossing the segment, so that no path slips through a joint. A normal counts as perpendicular to a
+segment if its cosine differs from 1 by at most this."""
 
 ON = 1e-4
-"""A surface hides an end of another segment that stands out of it by at most this, in reaches of the circle. That is a
-fiftieth of the slop."""
+"""Largest distance by which the end of a segment stands out of another surface and is still hidden by it, in reaches of
+the circle (radius plus skin). It is a fiftieth of the slop."""
 
 BEHIND = 0.02
-"""A surface hides an end that lies behind it, or in a gap beyond the surface's own end, by at most this, in reaches of
-the circle. In such a gap a circle sinks a hundredth of the slop."""
+"""Largest distance by which a hidden end lies behind another surface, or in a gap beyond that surface's own end, in
+reaches of the circle. In such a gap a circle sinks by a hundredth of the slop."""
 
 
 class Segments(NamedTuple):
-    """The segments of a world, and a grid that lists, for each of its cells, those within reach."""
+    """The segments of a world, and a grid that lists, for each of its cells, the segments within reach."""
 
     line: np.ndarray  # (S, 5)
     start: np.ndarray  # (rows · columns + 1,): `near[start[c]:start[c + 1]]` are within reach of cell c
-    near: np.ndarray  # segments, for each cell in their order
-    every: np.ndarray  # (S,): all segments
+    near: np.ndarray  # segments within reach, for each cell in their order
+    every: np.ndarray  # (S,): indices of all segments
     first: np.ndarray  # (2 S + 1,): `hiding[first[e]:first[e + 1]]` may hide end e = 2 s + 0 or 1 of segment s
-    hiding: np.ndarray  # segments, for each end in their order
+    hiding: np.ndarray  # segments that may hide an end, for each end in their order
     grid: tuple  # (x, y) of its corner, m, cells a metre, columns, rows
     reach: float  # m
 
@@ -58,7 +59,7 @@ NO_SEGMENTS = Segments(
     np.zeros((0, 5)), np.zeros(1, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(1, np.int64),
     np.zeros(0, np.int64), (0.0, 0.0, 1.0, 0, 0), 0.0,
 )  # fmt: skip
-"""Of a world that has none."""
+"""`Segments` of a world without segments."""
 
 
 def segments_of(world: World) -> np.ndarray:
@@ -69,7 +70,7 @@ def segments_of(world: World) -> np.ndarray:
 
 
 def segments_in_grid(world: World, reach: float) -> Segments:
-    """The segments of a world in a grid for a reach, m, or a larger one; the world keeps it (it is hidden there)."""
+    """The segments of a world in a grid for a reach, m, or a larger one. The world caches it in a hidden field."""
     kept = vars(world).get("_in_grid")
     if kept is None or kept.reach < reach:
         line = segments_of(world)
@@ -78,7 +79,7 @@ def segments_in_grid(world: World, reach: float) -> Segments:
 
 
 def in_grid(line, reach, most):
-    """Segments, (S, 5), in a grid of at most so many cells, or somewhat more, none smaller than the reach, m."""
+    """`Segments` of lines, (S, 5), in a grid of about `most` cells at most, none smaller than the reach, m."""
     beyond, every, none = 1.001 * reach, np.arange(line.shape[0]), np.zeros(0, np.int64)
     x, y = min(line[:, 0].min(), line[:, 2].min()) - beyond, min(line[:, 1].min(), line[:, 3].min()) - beyond
     wide = max(line[:, 0].max(), line[:, 2].max()) - (x + beyond) + 2.0 * beyond
@@ -104,9 +105,9 @@ in_grid_again = njit(cache=True, error_model="numpy")(in_grid)
 
 @njit(cache=True, error_model="numpy")
 def list_cells(line, reach, grid, fill, near):
-    """Count the segments within reach of cell c in `fill[c + 1]`, in place, where `near` is empty; or list them there.
+    """List the segments within reach of each cell c in `near`, or count them in `fill[c + 1]` if `near` is empty.
 
-    fill: of a list, where each cell's begins.
+    fill: changed in place; for a list, the places in `near` where the lists of the cells begin.
     """
     x, y, per_metre, columns, rows = grid
     for s in range(line.shape[0]):
@@ -132,9 +133,9 @@ def list_cells(line, reach, grid, fill, near):
 
 @njit(cache=True, error_model="numpy")
 def list_hiding(segments, fill, hiding):
-    """Count the segments that may hide end e in `fill[e + 1]`, in place, where `hiding` is empty; or list them there.
+    """List the segments that may hide each end e in `hiding`, or count them in `fill[e + 1]` if `hiding` is empty.
 
-    fill: of a list, where each end's begins.
+    fill: changed in place; for a list, the places in `hiding` where the lists of the ends begin.
     """
     line, every, within = segments.line, segments.every, 1.5 * BEHIND * segments.reach
     for end in range(2 * line.shape[0]):
@@ -151,9 +152,10 @@ def list_hiding(segments, fill, hiding):
 
 @njit(cache=True, error_model="numpy")
 def circles_beside(segments, before, position, found):
-    """Write into `found`, (n,), the circles that may meet a segment on their way. Returns their number.
+    """Write the circles that may meet a segment on their way into `found`, (n,). Returns their number.
 
-    before, position: where they were and are, (n, 2), m. All that come within reach of a segment are among them.
+    before, position: centres before and after the motion, (n, 2), m. All circles that come within reach of a segment
+    are among those found.
     """
     (corner_x, corner_y, per_metre, columns, rows), start, reach = segments.grid, segments.start, segments.reach
     count = 0
@@ -171,7 +173,7 @@ def circles_beside(segments, before, position, found):
 
 @njit(cache=True, error_model="numpy")
 def cells_of_box(grid, x_min, x_max, y_min, y_max):
-    """(First column, last, first row, last) of the cells that a box crosses; the last before the first without any."""
+    """(First column, last column, first row, last row) of the cells that a box crosses; (0, −1, 0, −1) without any."""
     corner_x, corner_y, per_metre, columns, rows = grid
     left, right = (x_min - corner_x) * per_metre, (x_max - corner_x) * per_metre
     low, high = (y_min - corner_y) * per_metre, (y_max - corner_y) * per_metre
@@ -192,7 +194,7 @@ def is_free(start, grid, x_min, x_max, y_min, y_max):
 
 @njit(cache=True, error_model="numpy")
 def near_box(segments, x_min, x_max, y_min, y_max, buffer):
-    """The segments within reach of a box, and others; some more than once. buffer: (S,), used."""
+    """A list with all segments within reach of a box, and with others; some occur twice. buffer: (S,), overwritten."""
     first, last, bottom, top = cells_of_box(segments.grid, x_min, x_max, y_min, y_max)
     columns, count = segments.grid[3], 0
     if first == last and bottom == top:
@@ -223,7 +225,7 @@ def moves(wall, s):
 
 @njit(cache=True)
 def has_moving(drive):
-    """Whether a segment moves. drive: of the step."""
+    """Whether any segment moves. drive: `Drive` of the step, or None."""
     if drive is None:
         return False
     return drive.moving.shape[0] > 0
@@ -231,7 +233,7 @@ def has_moving(drive):
 
 @njit(cache=True, error_model="numpy")
 def wall_velocity(line, wall, s, x, y):
-    """(v_x, v_y) of the s-th segment at its point nearest to (x, y), m/s: between those of its ends, (S, 4)."""
+    """(v_x, v_y) of the s-th segment at its point nearest to (x, y), m/s. wall: velocities of the ends, (S, 4), m/s."""
     e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
     t = (e_x * (x - line[s, 0]) + e_y * (y - line[s, 1])) / (e_x * e_x + e_y * e_y)
     t = min(1.0, max(0.0, t))
@@ -240,7 +242,7 @@ def wall_velocity(line, wall, s, x, y):
 
 @njit(cache=True, error_model="numpy")
 def carried(line, wall, s, dt, x, y):
-    """Where a point (x, y) would be if the s-th segment, which has moved for Δt, had carried it along."""
+    """The place to which the s-th segment, which has moved for Δt, would have carried the point (x, y) along, m."""
     x_0, y_0 = line[s, 0] - dt * wall[s, 0], line[s, 1] - dt * wall[s, 1]
     f_x, f_y = line[s, 2] - dt * wall[s, 2] - x_0, line[s, 3] - dt * wall[s, 3] - y_0
     e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
@@ -252,7 +254,7 @@ def carried(line, wall, s, dt, x, y):
 
 @njit(cache=True, error_model="numpy")
 def moved_segments(segments, drive, dt):
-    """The segments after Δt, in a grid of where they are then; their lines move in place. drive: `step.Drive`."""
+    """The segments after Δt, in a new grid. Their lines move in place. drive: `step.Drive`."""
     if drive.moving.shape[0] == 0:
         return segments
     line = segments.line
@@ -263,7 +265,10 @@ def moved_segments(segments, drive, dt):
 
 
 def ground_velocities(contacts, world, n):
-    """(Along the normals, along the tangents) of what is no circle, at the contacts of n circles, (m,) each, m/s."""
+    """(Along normals, along tangents): velocities of segments and their surfaces at contacts, (m,) each, m/s.
+
+    n: number of circles. The velocities are 0 at contacts with circles and walls.
+    """
     velocities, line, wall = np.zeros((2, len(contacts.body_a))), segments_of(world), np.array(world.segment_velocities)
     if world.surface_speeds or world.segment_velocities:
         for i in np.flatnonzero(contacts.body_b >= n + 4):
@@ -277,7 +282,7 @@ def ground_velocities(contacts, world, n):
 
 @njit(cache=True, error_model="numpy")
 def nearest_part(segment, x, y):
-    """BESIDE, START or END: what of the segment is nearest to a point."""
+    """BESIDE, START or END: the part of the segment that is nearest to a point."""
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     along = e_x * (x - segment[0]) + e_y * (y - segment[1])
     if along < 0.0:
@@ -287,11 +292,12 @@ def nearest_part(segment, x, y):
 
 @njit(cache=True, error_model="numpy")
 def segment_gap(segment, x, y, h_x=0.0, h_y=0.0):
-    """(distance, n_x, n_y) of a point from a segment, m, and the unit normal from the point to it.
+    """(distance, n_x, n_y): distance of a point from a segment, m, and the unit normal from the point to the segment.
 
-    h_x, h_y: a normal that was found before. It tells the side from which the distance is measured, so that beyond the
-    segment it is negative; without it that is the side of the point. Across the segment, it keeps a point that has
-    passed an end since beside it, as in Box2D: at a joint nothing changes within a step.
+    h_x, h_y: normal from an earlier search. It sets the side from which the distance is measured, so that the distance
+    is negative beyond the segment; without it, that side is the side of the point. If this normal is perpendicular to
+    the segment, a point that has passed an end since then still counts as beside the segment, as in Box2D: nothing
+    changes at a joint within a step.
     """
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     length = math.sqrt(e_x * e_x + e_y * e_y)
@@ -312,10 +318,10 @@ def segment_gap(segment, x, y, h_x=0.0, h_y=0.0):
 
 @njit(cache=True, error_model="numpy")
 def touches(segments, box, s, x, y, reach):
-    """Whether a circle has a contact with segment s: no farther than `reach`, m, and with no end that is hidden.
+    """Whether a circle at (x, y) has a contact with segment s: within `reach`, m, and not with a hidden end.
 
-    An end is hidden where a wall, or another segment that is at least as near, has the contact in place of it. Of ends
-    that are equally near the first stays. box: of the `World`.
+    An end is hidden if a wall, or another segment that is at least as near, has the contact in its place. Of two ends
+    that are equally near, the end of the first segment is not hidden. box: of the `World`.
     """
     line = segments.line
     segment = line[s]
@@ -341,7 +347,7 @@ def touches(segments, box, s, x, y, reach):
 
 @njit(cache=True, error_model="numpy")
 def hides(segment, e_x, e_y, x, y, reach):
-    """Whether an end (e_x, e_y) lies on a segment, or just behind it as seen from (x, y): see `ON`."""
+    """Whether an end (e_x, e_y) lies on a segment, or just behind it as seen from (x, y): see `ON` and `BEHIND`."""
     s_x, s_y = segment[2] - segment[0], segment[3] - segment[1]
     length = math.sqrt(s_x * s_x + s_y * s_y)
     d_x, d_y = e_x - segment[0], e_y - segment[1]
@@ -354,7 +360,7 @@ def hides(segment, e_x, e_y, x, y, reach):
 
 @njit(cache=True)
 def insert_pairs(position, radius, walls, segments, body_a, body_b, m):
-    """Insert the circles and segments that touch among m sorted pairs, in place. Returns their number, -1 if full."""
+    """Insert touching circles and segments into m sorted pairs, in place. Returns the new number, or -1 if full."""
     n, end = position.shape[0], m
     circles = np.empty(n, np.int64)
     for i in circles[: circles_beside(segments, position, position, circles)]:
@@ -367,7 +373,7 @@ def insert_pairs(position, radius, walls, segments, body_a, body_b, m):
                 end += 1
     more_a, more_b = body_a[m:end].copy(), body_b[m:end].copy()
     i, j = m - 1, end - m - 1
-    # Merged from the back; of one circle, segments come after all other bodies.
+    # Merged from the back. For each circle, segments come after all other bodies.
     while j >= 0:
         if i >= 0 and body_a[i] > more_a[j]:
             body_a[i + j + 1], body_b[i + j + 1] = body_a[i], body_b[i]
@@ -380,7 +386,7 @@ def insert_pairs(position, radius, walls, segments, body_a, body_b, m):
 
 @njit(cache=True, error_model="numpy")
 def first_crossing(segments, x, y, to_x, to_y, buffer, drive):
-    """Share of the straight way from (x, y) at which it first crosses a segment that rests; infinite without one."""
+    """Share of the straight way from (x, y) to (to_x, to_y) at the first crossing of a segment at rest, or infinity."""
     first = math.inf
     for s in near_box(segments, min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y), buffer):
         if drive is not None:
@@ -392,7 +398,7 @@ def first_crossing(segments, x, y, to_x, to_y, buffer, drive):
 
 @njit(cache=True, error_model="numpy")
 def crossing(segment, x, y, to_x, to_y):
-    """`first_crossing` of one segment."""
+    """`first_crossing` for one segment, moving or at rest."""
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     before = e_x * (y - segment[1]) - e_y * (x - segment[0])
     after = e_x * (to_y - segment[1]) - e_y * (to_x - segment[0])
@@ -407,7 +413,7 @@ def crossing(segment, x, y, to_x, to_y):
 
 @njit(cache=True)
 def positions_before(bodies, segments):
-    """Positions at the start of a step for `hold_beside`; where there are no segments, nothing is copied."""
+    """Positions at the start of a substep, for `hold_beside`: a copy, or without segments the positions themselves."""
     if segments is None:
         return bodies.position
     return bodies.position.copy() if segments.line.shape[0] > 0 else bodies.position
@@ -417,8 +423,8 @@ def positions_before(bodies, segments):
 def may_cross(bodies, before, solved):
     """Whether a centre may have crossed a segment on its way.
 
-    One that went less than half of its radius has not, unless it had been nearer to a segment than that, which its
-    contact tells. before: positions, (n, 2), m. solved: contacts there.
+    A centre that moved less than half of its radius has not crossed one, unless it was nearer than that to a segment
+    before, which the separation of a contact shows. before: positions at the start, (n, 2), m. solved: contacts there.
     """
     position, radius, n = bodies.position, bodies.radius, bodies.radius.shape[0]
     body_a, body_b, separation = solved.body_a, solved.body_b, solved.separation
@@ -436,8 +442,8 @@ def may_cross(bodies, before, solved):
 def hold_beside(bodies, before, segments, drive):
     """Put centres that have crossed a resting segment back, in place, to half of their way to the crossing.
 
-    before: positions at the start of the step, (n, 2), m. Only what is pressed harder than the sweeps or position
-    correction can withstand comes so far.
+    before: positions at the start of the substep, (n, 2), m. A centre crosses a segment only if it is pressed harder
+    than the sweeps and position correction can withstand.
     """
     position, buffer, circles = bodies.position, np.empty_like(segments.every), np.empty(len(before), np.int64)
     for i in circles[: circles_beside(segments, before, position, circles)]:
@@ -445,17 +451,17 @@ def hold_beside(bodies, before, segments, drive):
         share = 0.5 * first_crossing(segments, x, y, position[i, 0], position[i, 1], buffer, drive)
         if share <= 0.5:
             to_x, to_y = x + share * (position[i, 0] - x), y + share * (position[i, 1] - y)
-            # On the line but for rounding, it stays.
+            # A centre that lies on the line, but for rounding, stays where it was.
             stays = first_crossing(segments, x, y, to_x, to_y, buffer, drive) <= 1.0
             position[i, 0], position[i, 1] = (x, y) if stays else (to_x, to_y)
 
 
 @njit(cache=True, error_model="numpy")
 def hold_beside_moving(bodies, before, segments, solved, drive, dt):
-    """`hold_beside` for the segments that move, in place. They have moved for Δt, s. solved: contacts at its begin.
+    """`hold_beside` for the moving segments, in place. They have moved for Δt, s. solved: contacts at the start of Δt.
 
-    A segment that was not touched, or is fast (`continuous`), passes over what it crosses. Returns whether centres have
-    changed, and such a circle, or −1.
+    A segment passes over a centre that it crosses if the circle had no contact with it, or was fast relative to it
+    (`continuous`). Returns whether a centre has changed, and a circle over which a segment passes, or −1.
     """
     position, line, n = bodies.position, segments.line, bodies.mass.shape[0]
     changed, passed = False, np.int64(-1)
@@ -477,7 +483,7 @@ def hold_beside_moving(bodies, before, segments, solved, drive, dt):
 
 @njit(cache=True)
 def touched(contacts, a, b):
-    """Whether two bodies have a contact."""
+    """Whether there is a contact between bodies a and b."""
     for k in range(contacts.body_a.shape[0]):
         if contacts.body_a[k] == a and contacts.body_b[k] == b:
             return True
@@ -486,7 +492,10 @@ def touched(contacts, a, b):
 
 @njit(cache=True, error_model="numpy")
 def time_to_touch(segment, x, y, m_x, m_y, least):
-    """(time, part) when a point that moves by (m_x, m_y), m, in a step comes within `least` of a segment; or inf."""
+    """(time, part): when a point that moves by (m_x, m_y), m, first comes within `least`, m, of a segment; or infinity.
+
+    The time is a share of the motion. part: `BESIDE`, `START` or `END`.
+    """
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     length = math.sqrt(e_x * e_x + e_y * e_y)
     gap = (e_x * (y - segment[1]) - e_y * (x - segment[0])) / length

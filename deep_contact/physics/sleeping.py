@@ -2,12 +2,14 @@
 
 A circle is still while its speed and spin are at most `sleep_speed` and `sleep_spin` of the `ContactScales`. An
 island falls asleep once all of its circles have been still for `sleep_time`, none of them accelerates, and none of its
-contacts is left to be corrected: their velocities become 0, and their impulses are kept to wake up with. It wakes as a
-whole when a circle that is awake touches it, or when the push on one of its circles changes. Contacts are looked for
-among all circles, unless all are asleep. A new run starts awake.
+contacts needs position correction. The velocities of its circles then become 0, and its contacts keep their impulses
+until it wakes. It wakes as a whole when a circle that is awake touches it, or when the external force on one of its
+circles changes. Contacts are searched among all circles, unless all circles sleep. A new run starts with all circles
+awake.
 
-Box2D does not ask for acceleration, so a ball on a slope of 0.003 falls asleep there. Here each circle's way in half a
-sleep time is compared with its way in the half before, twice in a sleep time, and then islands fall asleep.
+Box2D does not test the acceleration, so a ball on a slope of 0.003 falls asleep there. Here each circle's displacement
+in half a sleep time is compared with its displacement in the half before. This happens twice in a sleep time, and only
+then do islands fall asleep.
 """
 
 from __future__ import annotations
@@ -26,29 +28,30 @@ from deep_contact.physics.segments import has_moving, moves
 from deep_contact.state.arrays import Contacts
 
 STEADY = 0.02
-"""Largest difference of two such ways, in `sleep_speed` times `sleep_time`. A ball on a slope of 2.4e-4 reaches it."""
+"""Largest difference of these two displacements of a circle that does not accelerate, in `sleep_speed` times
+`sleep_time`. A ball on a slope of 2.4e-4 reaches it."""
 
 
 class SleepMemory(NamedTuple):
-    """Who sleeps of n circles, and buffers."""
+    """Sleep of n circles, and buffers."""
 
     still: np.ndarray  # (n,): time for which a circle has been still, s; infinite while it sleeps
-    place: np.ndarray  # (2, n, 2): where the circles were when it was last looked, and the time before, m
-    clock: np.ndarray  # (1,): time since it was last looked, s
+    place: np.ndarray  # (2, n, 2): positions at the last comparison, and at the comparison before, m
+    clock: np.ndarray  # (1,): time since the last comparison, s
     active: Contacts  # buffer for the `Contacts` of circles that are awake
-    parent: np.ndarray  # (n,): buffer: islands
-    shortest: np.ndarray  # (n,): buffer: the shortest time of an island
-    force: np.ndarray  # (n, 2): the push of the last step in which a circle was awake (`wake_pushed`), N
-    torque: np.ndarray  # (n,): likewise, N·m
+    parent: np.ndarray  # (n,): buffer: union-find of the islands
+    shortest: np.ndarray  # (n,): buffer: least `still` of each island, s
+    force: np.ndarray  # (n, 2): external force in the last step in which a circle was awake (`wake_pushed`), N
+    torque: np.ndarray  # (n,): external torque in that step, N·m
 
     @property
     def remembered(self) -> tuple[np.ndarray, ...]:
-        """The arrays that a step hands on to the next, which are all but the buffers."""
+        """The arrays that a step passes on to the next: all but the buffers."""
         return self.still, self.place, self.clock, self.force, self.torque
 
 
 def make_sleep_memory(n: int, capacity: int) -> SleepMemory:
-    """A `SleepMemory` of n circles, all awake, with a buffer for so many contacts."""
+    """A `SleepMemory` of n circles, all awake, with a buffer for `capacity` contacts."""
     place, clock = np.full((2, n, 2), np.nan), np.full(1, np.inf)
     buffers = make_contacts(capacity), np.empty(n, np.int64), np.empty(n)
     return SleepMemory(np.zeros(n), place, clock, *buffers, np.zeros((n, 2)), np.zeros(n))
@@ -56,7 +59,7 @@ def make_sleep_memory(n: int, capacity: int) -> SleepMemory:
 
 @njit(inline="always")
 def all_asleep(sleep, drive):
-    """Whether no circle is awake, and no segment moves. sleep: None where nothing may. drive: of the step."""
+    """Whether all circles sleep and no segment moves. sleep: `SleepMemory`, or None if no circle may sleep."""
     if sleep is None:
         return False
     if has_moving(drive):
@@ -69,10 +72,10 @@ def all_asleep(sleep, drive):
 
 @njit(cache=True, error_model="numpy")
 def wake_pushed(contacts, sleep, step):
-    """Wake, in place, the islands of sleeping circles whose push is another than the one they fell asleep under.
+    """Wake, in place, the islands of sleeping circles whose external force has changed since they fell asleep.
 
-    Where the difference accelerates a free circle by less than `look_at_places` sees, it sleeps on. contacts: those at
-    the bodies' positions. step: `StepInput` with the push of the step to come.
+    If the change accelerates a free circle by less than `look_at_places` detects, the circle sleeps on. contacts: at
+    the bodies' positions. step: `StepInput` with the external force of the next step.
     """
     bodies, scales, drive, n = step.bodies, step.scales, step.drive, sleep.still.shape[0]
     most, is_any = 4.0 * STEADY * scales.sleep_speed / scales.sleep_time, False
@@ -99,14 +102,14 @@ def wake_pushed(contacts, sleep, step):
 
 @njit(inline="always")
 def awake_contacts(contacts, sleep):
-    """The contacts of circles that are awake, with the fields that a step reads, in the buffer; without `sleep` all."""
+    """Contacts of circles that are awake, in the buffer, with the fields that a step reads; all if `sleep` is None."""
     if sleep is None:
         return contacts
     still, buffer, m = sleep.still, sleep.active, 0
     if contacts.body_a.shape[0] > buffer.body_a.shape[0]:
         buffer = more_contacts(contacts.body_a.shape[0])
     for i in range(contacts.body_a.shape[0]):
-        # Islands sleep as a whole, so the first circle tells.
+        # Islands sleep as a whole, so one circle of a contact decides.
         if still[contacts.body_a[i]] < np.inf:
             buffer.body_a[m], buffer.body_b[m] = contacts.body_a[i], contacts.body_b[i]
             buffer.normal[m, 0], buffer.normal[m, 1] = contacts.normal[i, 0], contacts.normal[i, 1]
@@ -119,7 +122,7 @@ def awake_contacts(contacts, sleep):
 
 @njit(inline="always")
 def store_awake_impulses(active, contacts, sleep):
-    """Write the solved impulses of the contacts that are awake among all contacts, in place: `awake_contacts` back."""
+    """Write the solved impulses of the active contacts into all contacts, in place: the inverse of `awake_contacts`."""
     if sleep is None:
         return
     j = 0
@@ -132,7 +135,7 @@ def store_awake_impulses(active, contacts, sleep):
 
 @njit(inline="always")
 def hold_sleeping(solver_bodies, sleep):
-    """Take back, in place, what gravity did to the circles that are asleep."""
+    """Set the velocities of sleeping circles, to which gravity was added, back to 0, in place."""
     if sleep is None:
         return
     for i in range(sleep.still.shape[0]):
@@ -142,9 +145,9 @@ def hold_sleeping(solver_bodies, sleep):
 
 @njit(cache=True)
 def look_at_places(sleep, position, dt, scales):
-    """Let Δt pass, in place. Returns whether half a sleep time is over: islands may fall asleep then.
+    """Advance the clock by Δt, in place. Returns whether half a sleep time is over, so that islands may fall asleep.
 
-    A circle that accelerates has not been still for long enough then.
+    If so, circles that accelerate lose the time for which they have been still, except half a sleep time.
     """
     sleep.clock[0] += dt
     if sleep.clock[0] < 0.5 * scales.sleep_time:
@@ -163,10 +166,10 @@ def look_at_places(sleep, position, dt, scales):
 
 @njit(cache=True)
 def wake_and_put_to_sleep(step, contacts, sleep, drive):
-    """Let Δt pass, in place, for the stillness of circles and islands. contacts: those at the bodies' positions.
+    """Update the times for which circles have been still after Δt, wake islands and put islands to sleep, in place.
 
-    A fixed circle is still where it does not move at all. What touches a segment that moves is awake. sleep: None where
-    nothing may. drive: of the step.
+    A fixed circle is still if it does not move at all. An island that touches a moving segment is awake. contacts: at
+    the bodies' positions. sleep: `SleepMemory`, or None if no circle may sleep. drive: `Drive` of the step, or None.
     """
     if sleep is None:
         return

@@ -1,4 +1,4 @@
-"""What a step reads and where it works: the arguments of `engine.advance` and of the steps that stand in for it."""
+"""Input, memory and log of steps: the arguments of `engine.advance`, and of the functions that replace it."""
 
 from __future__ import annotations
 
@@ -17,43 +17,44 @@ from deep_contact.state.scales import ContactScales
 
 
 class Motion(NamedTuple):
-    """How substeps are divided further by motion (`substeps`)."""
+    """Parameters of the division of substeps by motion (`substeps`)."""
 
-    most: int  # parts of a substep, a power of two; 1: never
-    reach: float  # m
+    most: int  # largest number of parts of a solver's substep, a power of two; 1: no division
+    reach: float  # largest displacement in a part of a circle that is about to hit something, m
 
 
 class Drive(NamedTuple):
-    """What is moved and pushed from outside, in scenes that have moving segments, fixed circles or pushes."""
+    """Kinematics and external force in scenes with moving segments, fixed circles or pushes."""
 
     wall: np.ndarray  # (S, 4): velocities of the ends of the segments, m/s
-    moving: np.ndarray  # (k,): the segments that move
-    force: np.ndarray  # (n, 2): on the circles beside gravity, N
-    torque: np.ndarray  # (n,): likewise, N·m
+    moving: np.ndarray  # (k,): indices of the moving segments
+    force: np.ndarray  # (n, 2): external force on each circle beside gravity, N
+    torque: np.ndarray  # (n,): external torque on each circle, N·m
 
 
 class StepInput(NamedTuple):
-    """What the steps read. None is a type of its own: what nothing in the scene requires is not compiled.
+    """Input of steps. The code for a field that is None is not compiled, since None is a type of its own.
 
-    segments, restitution and motion are None where all of them are idle: see `with_rare`. With a drive none is.
-    Contacts carry the impulses of a whole step, whatever it is divided into; a solve starts from 1 / parts of them.
+    segments, restitution and motion are None if the scene needs none of the three (`with_rare`); with actuation none of
+    them is None. Contacts carry the impulses of a whole step, into however many substeps it is divided; the solve of a
+    substep starts from these impulses divided by the number of substeps.
     """
 
-    bodies: Bodies  # they move in place
+    bodies: Bodies  # moved in place
     box: tuple  # of the `World`, as gravity, friction and restitution
     segments: Segments | None
     gravity: tuple
     friction: float | None  # None, in place of 0, leaves the tangent rows out
     restitution: float | None
-    dt: float  # of a part, s: what is solved at once
-    parts: int  # of a step: substeps, times those into which motion divides each
+    dt: float  # Δt of a substep, s
+    parts: int  # number of substeps of a step: that of the solver, times the factor of motion
     scales: ContactScales  # of the state that the steps begin with
     motion: Motion | None = None
-    drive: Drive | None = None  # its segments are the step's own: their lines move in place
+    drive: Drive | None = None  # if it moves segments, their lines are copies for these steps, and move in place
 
 
 def with_rare(step: StepInput) -> StepInput:
-    """The input of steps that know all that is rare: segments, restitution, motion and fast circles."""
+    """The input with all optional features: segments, restitution, division by motion and continuous collision."""
     return step._replace(
         segments=NO_SEGMENTS if step.segments is None else step.segments,
         restitution=0.0 if step.restitution is None else step.restitution,
@@ -62,24 +63,24 @@ def with_rare(step: StepInput) -> StepInput:
 
 
 class StepOptions(NamedTuple):
-    """How the steps solve."""
+    """Options of the solver and of the start of each step."""
 
     settings: NamedTuple  # of the solver (`solvers.registry`); their type picks the loop
-    position_sweeps: int  # most sweeps of position correction
+    position_sweeps: int  # largest number of sweeps of position correction
     carry: bool  # start the steps after the first from the impulses of the step before; otherwise from zero
 
 
 class StepMemory(NamedTuple):
-    """Where the steps work. What it holds from one call to the next changes no bit of what they compute."""
+    """Work arrays of the steps. Their content before a call changes no bit of the result."""
 
     solver_bodies: np.ndarray  # (n + 4, 4); each step fills them (`contact_solver.integrate_velocities`)
     theta: np.ndarray  # buffer for the θ of one step's sweeps; its length is the largest number of sweeps
     rows: Rows
     correction: CorrectionRoom
     cells: Cells
-    contacts: tuple[Contacts, Contacts]  # two buffers, which the steps fill by turns
-    workspace: object = None  # what the solver remembers (`registry.make_workspace`)
-    is_built: bool = False  # whether solver bodies and rows are those of the one step to come (`engine.StepProblem`)
+    contacts: tuple[Contacts, Contacts]  # two buffers, which the steps fill in turn
+    workspace: object = None  # of the solver (`registry.make_workspace`)
+    is_built: bool = False  # whether solver bodies and rows of the only step are filled already (`engine.StepProblem`)
 
 
 class _StepSetupType(StructureType):
@@ -87,7 +88,7 @@ class _StepSetupType(StructureType):
 
 
 class StepSetup(Structure):
-    """A `StepInput`, `StepOptions` and a `StepMemory`: the arguments that are the same in many calls."""
+    """A `StepInput`, `StepOptions` and a `StepMemory`: the arguments that stay the same over many calls."""
 
 
 define(StepSetup, _StepSetupType, ("step", "options", "memory"))
@@ -95,14 +96,14 @@ define(StepSetup, _StepSetupType, ("step", "options", "memory"))
 
 @njit(cache=True)
 def make_setup(step, options, memory):
-    """A `StepSetup` of these."""
+    """The `StepSetup` of a `StepInput`, `StepOptions` and a `StepMemory`."""
     return StepSetup(step, options, memory)
 
 
 def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
-    """Memory of steps of n circles, with room for so many contacts; where there are more, single steps take their own.
+    """A `StepMemory` for n circles and `capacity` contacts. A step with more contacts allocates arrays of its own.
 
-    sweeps: the most of a step. friction: None for rows without tangents.
+    sweeps: largest number of sweeps of a solve. friction: None for rows without tangents.
     """
     return StepMemory(
         np.empty((n + 4, 4)), np.empty(sweeps), make_rows(capacity, friction),
@@ -111,57 +112,58 @@ def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
 
 
 DONE, WORK, LAST_SWEEPS, WATCHED, FINITE, PASSED = range(6)
-"""Elements of `StepLog.progress`: substeps done; the work, in relaxations, after which a call ends; sweeps of the last
-part; whether the call is one step whose impulses are logged in `StepLog.received`; whether all positions are finite;
-1 + the circle over which a moving segment has passed last, or 0."""
+"""Elements of `StepLog.progress`: number of the solver's substeps that are done; work, in relaxations, until the call
+ends; sweeps of the last solve; whether the call is a single step whose impulses are logged in `StepLog.received`;
+whether all positions are finite; 1 + the circle over which a moving segment has passed last, or 0."""
 
 PAIR, X, Y, N_X, N_Y, SEPARATION, P_X, P_Y = range(8)
-"""Columns of `StepLog.received`: the two bodies as one number (`pair_of`); the place, m, normal and separation, m, with
-which the contact came; the impulse on its second body, N·s."""
+"""Columns of `StepLog.received`: the two bodies as one number (`pair_of`); contact point, m, normal and separation, m,
+of the contact when it came; impulse on its second body, N·s."""
 
 MOST_BODIES = 2**26
-"""Walls and segments included: a pair of so many is one number that float64 holds exactly."""
+"""Largest number of bodies, walls and segments included, with which float64 holds the number of a pair exactly."""
 
 BESIDE_SWEEPS = 20
-"""Work of a part beside its sweeps, in relaxations a contact."""
+"""Work of a substep outside of its sweeps, in relaxations per contact."""
 
 
 class StepLog(NamedTuple):
-    """What the steps log, (steps,) each. Of a divided step: contacts and θ of the last part, sums of the others."""
+    """Log of steps, (steps,) each. Of a divided step: contacts and θ of its last substep, sums of the other columns."""
 
     contacts: np.ndarray
     sweeps: np.ndarray
-    theta: np.ndarray  # the last, N·s
+    theta: np.ndarray  # θ of the last sweep, N·s
     relaxations: np.ndarray
-    parts: np.ndarray  # of a step
+    parts: np.ndarray  # number of substeps
     progress: np.ndarray  # (6,): `DONE`, `WORK`, `LAST_SWEEPS`, `WATCHED`, `FINITE`, `PASSED`
-    loads: np.ndarray  # (4 + S, 2): the sum of all that walls and segments received, N·s; (0, 2) where nobody asks
-    received: np.ndarray  # (k, 8): what pairs received in a step that is watched, sorted by `PAIR`: rebounds and solves
-    on_circles: np.ndarray  # (n, 2): the sum of what contacts gave to the circles, N·s; (0, 2) where nobody asks
-    work: np.ndarray  # (1,): the sum of what moving segments, fixed circles and pushes did, J
-    shifts: np.ndarray  # (n, 2): the sum of what gravity and pushes gave beside m g Δt, N·s; (0, 2) where nobody asks
+    loads: np.ndarray  # (4 + S, 2): sum of the impulses on walls and segments, N·s; (0, 2): not logged
+    received: np.ndarray  # (k, 8): impulses of each pair in a watched step, of rebounds and solves, sorted by `PAIR`
+    on_circles: np.ndarray  # (n, 2): sum of the contact impulses on the circles, N·s; (0, 2): not logged
+    work: np.ndarray  # (1,): work of moving segments, fixed circles and pushes, J
+    shifts: np.ndarray  # (n, 2): momentum from gravity and pushes beyond Δt (m g + f), N·s; (0, 2): not logged
 
 
 def make_log(steps: int, loads: int = 0, circles: int = 0, shifts: int = 0) -> StepLog:
-    """A log for so many steps, which one call may do all.
+    """A log of `steps` steps, all of which one call may do.
 
-    loads: walls and segments, or 0. circles, shifts: of whose contacts and flights the sums are asked, or 0.
+    loads: number of walls and segments, or 0 to log no impulses on them. circles, shifts: number of circles, or 0 to
+    log no `on_circles` or no `shifts`.
     """
     columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64, np.int64))
-    progress = np.array([0, 2**63 - 1, 0, 0, 1, 0])  # with no bound on the work
+    progress = np.array([0, 2**63 - 1, 0, 0, 1, 0])  # without a bound on the work
     sums = np.zeros((loads, 2)), np.zeros((0, 8)), np.zeros((circles, 2)), np.zeros(1), np.zeros((shifts, 2))
     return StepLog(*columns, progress, *sums)
 
 
 def some_steps(log: StepLog, first: int, count: int, work: int, is_watched: bool) -> StepLog:
-    """The rows of a log from `first` on, as views, for a call that ends after so much work."""
+    """`count` rows of a log from `first` on, as views, for a call that ends after this work, in relaxations."""
     progress = np.array([0, work, 0, is_watched, 1, 0])
     return StepLog(*(column[first : first + count] for column in log[:5]), progress, *log[6:])
 
 
 @njit(cache=True)
 def log_part(log, k, contacts, sweeps, theta, relaxations):
-    """Add a part of the k-th step to the log, in place."""
+    """Add a substep of the k-th step to the log, in place."""
     log.contacts[k] = contacts
     log.sweeps[k] += sweeps
     log.theta[k] = theta[sweeps - 1] if sweeps > 0 else np.inf
@@ -173,7 +175,7 @@ def log_part(log, k, contacts, sweeps, theta, relaxations):
 
 @njit(cache=True, error_model="numpy")
 def part_of(step, segments, parts=1):
-    """The input of one of several equal parts of a step. step: `StepInput`. segments: those of the part."""
+    """The input of one of several equal substeps of a step. step: `StepInput`. segments: at the substep's start."""
     return StepInput(
         step.bodies, step.box, segments, step.gravity, step.friction, step.restitution, step.dt / parts,
         step.parts * parts, step.scales, step.motion, step.drive,
@@ -182,9 +184,9 @@ def part_of(step, segments, parts=1):
 
 @njit(cache=True, error_model="numpy")
 def log_work(step, contacts, solver_bodies, log):
-    """Log the work of a part that has a drive: that of its solved impulses, and that of pushes.
+    """Log the work of the actuation in a substep: the work of its solved impulses, and that of pushes.
 
-    A push works on the mean of the velocities before and after the part.
+    The power of a push is its force times the mean of the velocities before and after the substep.
     """
     bodies, drive, of_pushes = step.bodies, step.drive, 0.0
     for i in range(bodies.mass.shape[0]):
@@ -197,9 +199,9 @@ def log_work(step, contacts, solver_bodies, log):
 
 @njit(cache=True, error_model="numpy")
 def work_on(step, contacts, impulse):
-    """The work of moving segments and fixed circles, by the impulses on second bodies, (m, 2), N·s, in J.
+    """The work of moving segments and fixed circles, J, from the impulses on second bodies, (m, 2), N·s.
 
-    Without that of surfaces that move (`World.surface_speeds`). contacts: at the positions of the circles.
+    The work of moving surfaces (`World.surface_speeds`) is not included. contacts: at the positions of the circles.
     """
     bodies, drive, work = step.bodies, step.drive, 0.0
     n = bodies.mass.shape[0]
@@ -222,13 +224,13 @@ def work_on(step, contacts, impulse):
 
 @njit(cache=True)
 def is_asked(log):
-    """Whether a log takes impulses."""
+    """Whether impulses are logged."""
     return log.loads.shape[0] > 0 or log.on_circles.shape[0] > 0 or log.progress[WATCHED] != 0
 
 
 @njit(cache=True)
 def impulses_of(contacts, share):
-    """A share of the impulses of contacts on their second bodies, (m, 2), N·s."""
+    """The impulses of contacts on their second bodies, times `share`, (m, 2), N·s."""
     impulse = np.empty((contacts.body_a.shape[0], 2))
     for i in range(impulse.shape[0]):
         p_n, p_t = share * contacts.normal_impulse[i], share * contacts.tangent_impulse[i]
@@ -239,9 +241,9 @@ def impulses_of(contacts, share):
 
 @njit(cache=True)
 def log_impulses(log, received, contacts, impulse, n):
-    """Log impulses on the second bodies of contacts, (m, 2), N·s: the loads in place. Returns `StepLog.received`.
+    """Log impulses on the second bodies of contacts, (m, 2), N·s: `loads` and `on_circles` change in place.
 
-    n: circles.
+    n: number of circles. Returns `StepLog.received` with these impulses.
     """
     m, j = impulse.shape[0], 0
     for i in range(m if log.loads.shape[0] > 0 else 0):
@@ -268,7 +270,7 @@ def log_impulses(log, received, contacts, impulse, n):
 
 @njit(cache=True)
 def with_pairs(received, contacts):
-    """`StepLog.received` with the pairs of these contacts, sorted as they are; itself where it has them all."""
+    """`StepLog.received` with a row for each of these contacts, in their order; itself if it has all rows already."""
     k, m, new, j = received.shape[0], contacts.body_a.shape[0], 0, 0
     for i in range(m):
         while j < k and received[j, PAIR] < pair_of(contacts, i):
@@ -293,14 +295,14 @@ def with_pairs(received, contacts):
 
 @njit(inline="always")
 def pair_of(contacts, i):
-    """The two bodies of the i-th contact as one number, in the order of contacts."""
+    """The two bodies of the i-th contact as one number, which increases along the list of contacts."""
     return contacts.body_a[i] * MOST_BODIES + contacts.body_b[i]
 
 
 def of_whole_step(contacts: Contacts, received: np.ndarray) -> Contacts:
-    """The contacts of a step and those that came during it, with all that they gave in it.
+    """The contacts of a step, also those that came during it, with their impulses summed over the step.
 
-    contacts: at its begin. received: of `StepLog`.
+    contacts: at the start of the step. received: of `StepLog`.
     """
     pair, x, y, n_x, n_y, separation, p_x, p_y = received.T
     starts = np.zeros((2, len(pair)))

@@ -1,13 +1,12 @@
-"""The division of a step: into the substeps that a solver asks for, and each of these by motion.
+"""The division of a step by motion, beyond the substeps that a solver asks for.
 
-Motion divides where something is about to hit, and leaves whole where nothing moves. With v the fastest approach that
-closes its gap within a substep's Δt, that takes the least power of two of parts with
-v Δt / parts ≤ reach, so that nothing that hits has gone farther than the reach into the other before a contact stops
-it: a Courant number of motion.
+Motion divides a step if a circle is about to hit something. With v the fastest approach that closes its gap within the
+Δt of the solver's substep, this substep is divided into the least power of two k with v Δt / k ≤ reach. A circle that
+hits then penetrates by no more than the reach before a contact stops it. v Δt / reach is a Courant number of motion.
 
-The choice depends on positions, velocities and Δt alone, so a run that is read back goes on bit for bit; a power of two
-scales impulses exactly. Weakness: the fastest pair decides for the whole scene, and what contacts accelerate within the
-step is not foreseen.
+The choice depends on positions, velocities and Δt alone, so that a run that is read back goes on bit for bit; division
+by a power of two scales impulses exactly. Weakness: the fastest pair decides for the whole scene, and accelerations by
+contacts within the step are not foreseen.
 """
 
 from __future__ import annotations
@@ -25,17 +24,17 @@ from deep_contact.state.arrays import WALL_NORMALS
 
 @njit(inline="always")
 def part_by_motion(step, part, cells, drive):
-    """The part into which motion divides the next substep; `part` where it is as before."""
+    """Input of the substeps into which motion divides the solver's next substep; `part` itself if nothing changes."""
     parts = parts_of(step, cells, drive)
     return part if parts * step.parts == part.parts else part_of(step, step.segments, parts)
 
 
 @njit(inline="always")
 def fly_on(step, part, contacts, change, drive, shifts):
-    """Let circles that fly go on with another Δt (`shift_flights`), where motion has divided a substep into parts.
+    """Adapt circles in flight to another Δt (`shift_flights`), if motion divides the solver's substep.
 
-    step: `StepInput` of the substep. part: of one of its parts. change: by which Δt becomes shorter, s. shifts: of
-    `StepLog`.
+    step: `StepInput` of the solver's substep. part: `StepInput` after the division. change: decrease of Δt, s. shifts:
+    of `StepLog`.
     """
     if part.parts > step.parts and step.restitution > 0.0:
         shift_flights(step.bodies, contacts, step.gravity, change, drive, shifts)
@@ -43,9 +42,9 @@ def fly_on(step, part, contacts, change, drive, shifts):
 
 @njit(cache=True, error_model="numpy")
 def parts_of(step, cells, drive):
-    """Into how many parts motion divides the next substep: a power of two. step: `StepInput`. cells: `Cells`, used.
+    """Number of substeps into which motion divides the solver's next substep: a power of two.
 
-    drive: of the step.
+    step: `StepInput`. cells: `Cells`, overwritten. drive: `Drive` of the step, or None.
     """
     motion = step.motion
     if motion.most == 1 or step.bodies.mass.shape[0] == 0:
@@ -55,7 +54,7 @@ def parts_of(step, cells, drive):
     fastest = slow
     if walls + fastest_wall(drive) > slow:
         fastest = fastest_onto_walls(step, fastest, drive)
-    if pairs > slow and fastest * dt <= 0.5 * motion.most * motion.reach:  # otherwise it is the most already
+    if pairs > slow and fastest * dt <= 0.5 * motion.most * motion.reach:  # otherwise the limit is reached
         fastest = fastest_pair(step, cells, pairs * dt, fastest)
     parts = 1
     while parts < motion.most and fastest * dt > parts * motion.reach:
@@ -65,7 +64,7 @@ def parts_of(step, cells, drive):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def fastest_possible(velocity, gravity, dt):
-    """(Of two circles, of a circle to what stands still): speeds, m/s, that no approach exceeds within Δt.
+    """(pairs, walls): upper bounds on the approach of two circles, and of a circle to resting bodies, within Δt, m/s.
 
     velocity: (n, 2), m/s.
     """
@@ -80,7 +79,7 @@ def fastest_possible(velocity, gravity, dt):
 
 @njit(cache=True)
 def fastest_wall(drive):
-    """The speed of the fastest end of a segment, m/s."""
+    """The speed of the fastest end of a moving segment, m/s; 0 without one."""
     speed = 0.0
     if drive is not None:
         for s in drive.moving:
@@ -91,7 +90,7 @@ def fastest_wall(drive):
 
 @njit(cache=True, error_model="numpy")
 def fastest_onto_walls(step, fastest, drive):
-    """The fastest approach that closes the gap of a circle to a wall or a segment within Δt, m/s, or `fastest`."""
+    """The fastest approach that closes a gap between circle and wall or segment within Δt, m/s; at least `fastest`."""
     bodies, box, segments, dt, skin = step.bodies, step.box, step.segments, step.dt, step.scales.wall_skin
     buffer, start, grid, speed = np.empty_like(segments.every), segments.start, segments.grid, fastest_wall(drive)
     for i in range(bodies.mass.shape[0]):
@@ -105,7 +104,7 @@ def fastest_onto_walls(step, fastest, drive):
             approach = v_x * WALL_NORMALS[wall, 0] + v_y * WALL_NORMALS[wall, 1]
             if approach > fastest and wall_gap(x, y, box, wall) - reach < approach * dt:
                 fastest = approach
-        # What it closes within Δt lies within reach of where it comes in that time, at most.
+        # A segment whose gap closes within Δt lies within reach of the places to which the circle can come.
         far = dt * (math.sqrt(v_x * v_x + v_y * v_y) + speed)
         if is_free(start, grid, x - far, x + far, y - far, y + far):
             continue
@@ -122,10 +121,10 @@ def fastest_onto_walls(step, fastest, drive):
 
 @njit(cache=True, error_model="numpy")
 def fastest_pair(step, cells, gap, fastest):
-    """The fastest approach that closes the gap of two circles within Δt, m/s, or `fastest`.
+    """The fastest approach that closes the gap of two circles within Δt, m/s; at least `fastest`.
 
-    gap: m; circles that are farther apart do not meet within Δt. The pairs are read from the list of near pairs, where
-    it reaches so far or is worth making.
+    gap: m; circles that are farther apart do not meet within Δt. The pairs come from the list of near pairs, if it
+    covers this gap or pays to be made, and otherwise from a search.
     """
     position, radius = step.bodies.position, step.bodies.radius
     if refresh_list(position, radius, cells, gap):
@@ -141,7 +140,7 @@ def fastest_pair(step, cells, gap, fastest):
 
 @njit(cache=True, error_model="numpy")
 def fastest_of(step, a, near, first, last, fastest):
-    """`fastest_pair` of circle a with those in near[first:last]."""
+    """`fastest_pair` for circle a and the circles near[first:last]."""
     position, velocity, radius, dt = step.bodies.position, step.bodies.velocity, step.bodies.radius, step.dt
     x, y, v_x, v_y, r = position[a, 0], position[a, 1], velocity[a, 0], velocity[a, 1], radius[a]
     for k in range(first, last):
@@ -159,12 +158,12 @@ def fastest_of(step, a, near, first, last, fastest):
 
 @njit(cache=True)
 def shift_flights(bodies, contacts, gravity, change, drive, shifts):
-    """Let circles that nothing pushes fly on as before where Δt becomes shorter by `change`, s, in place.
+    """Shift the velocities of circles in flight, in place, so that their flight goes on although Δt changes.
 
-    Symplectic Euler is a leapfrog: velocities are those of half a step before. Without the shift each bounce, which is
-    divided on the way down and not on the way up, would change the energy. What a contact pushes has v = 0 to keep; a
-    contact without an impulse is one that a circle has just come to, or leaves.
-    The changes of momentum are added to shifts, (n, 2), N·s; (0, 2) where nobody asks.
+    Symplectic Euler is a leapfrog: velocities are those of half a step before. Each bounce is divided on the way down
+    and not on the way up, and without the shift it would change the energy. A circle on which a contact pushes is not
+    shifted, since it has to keep v = 0; a contact without an impulse has just begun, or is ending.
+    change: decrease of Δt, s. The changes of momentum are added to shifts, (n, 2), N·s, if these are logged.
     """
     n = bodies.mass.shape[0]
     held = np.zeros(n + 1, np.bool_)

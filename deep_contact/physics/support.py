@@ -1,10 +1,12 @@
-"""Impulses of a pile from its positions alone: loads are handed down from the top, circle by circle.
+"""Impulses of a pile from its positions alone: loads are passed down from the top, circle by circle.
 
-For states whose contacts carry no impulses. Circles are visited from the highest to the lowest against gravity. Each
-solves the contacts on which it lies as if what lies below did not give way, and its reaction is load on that: the force
-half of shock propagation (Guendelman, Bridson and Fedkiw, Nonconvex Rigid Bodies with Stacking, SIGGRAPH 2003).
+The method is for states whose contacts carry no impulses. Circles are visited from the highest to the lowest against
+gravity. The contacts on which a circle lies are solved as if the bodies below did not move, and the reactions are loads
+on these bodies: the force half of shock propagation (Guendelman, Bridson and Fedkiw, Nonconvex Rigid Bodies with
+Stacking, SIGGRAPH 2003).
 
-Weakness: nothing goes up again. What an arch holds sideways, and what a circle's own supports cannot hold, is lost.
+Weakness: no load goes up again. Loads that an arch carries sideways, and loads that a circle's own supports cannot
+carry, are lost.
 """
 
 from __future__ import annotations
@@ -28,11 +30,11 @@ from deep_contact.physics.contact_solver import (
 )
 
 LOCAL_SWEEPS = 3
-"""Over the contacts of one circle: two at 60° keep a quarter of the error in each."""
+"""Sweeps over the contacts of one circle. For two contacts at 60°, each sweep leaves a quarter of the error."""
 
 
 def supported(state, problem) -> tuple[np.ndarray, np.ndarray]:
-    """(λ_n, λ_t), (m,) each, N·s, that carry loads down; 0 without gravity. problem: `StepProblem` with tangents."""
+    """Impulses (λ_n, λ_t) that carry loads down, (m,) each, N·s; 0 without gravity. problem: with tangent rows."""
     gravity, m = np.array(state.world.gravity), state.contacts.count
     if not gravity.any():
         return np.zeros(m), np.zeros(m)
@@ -51,8 +53,8 @@ def supported(state, problem) -> tuple[np.ndarray, np.ndarray]:
 def hand_down(rows, friction, v, still, height, order):
     """Fill the impulses of the rows, and change the velocities v, (n + 4, 4), of circles after gravity, in place.
 
-    still: velocities of what does not give way, before gravity. height: of the solver bodies. order: circles from the
-    highest down.
+    still: solver bodies with the velocities before gravity, for bodies that do not move. height: of the solver bodies.
+    order: circles from the highest down.
     """
     body, data, impulse = rows.body, rows.data, rows.impulse
     n, m = order.shape[0], body.shape[0]
@@ -72,7 +74,7 @@ def hand_down(rows, friction, v, still, height, order):
             for i in mine:
                 carry(a, i, rows, friction, v, still)
         for i in mine:
-            # Its bound was that of the normal impulse before.
+            # The tangent impulse was bounded by the normal impulse before its last change.
             bound = friction * impulse[i, NORMAL]
             impulse[i, TANGENT] = max(-bound, min(impulse[i, TANGENT], bound))
             is_a = body[i, BODY_A] == a
@@ -83,14 +85,14 @@ def hand_down(rows, friction, v, still, height, order):
 
 @njit(cache=True)
 def upper_of(body, height, i):
-    """The circle of a contact that lies on the other body."""
+    """The body of contact i that lies on the other body."""
     a, b = body[i, BODY_A], body[i, BODY_B]
     return a if height[a] >= height[b] else b
 
 
 @njit(cache=True, error_model="numpy")
 def carry(a, i, rows, friction, v, still):
-    """Relax contact i of the circle a alone, in place on its velocity and on the impulse: friction row, normal row."""
+    """Relax contact i for circle a alone, in place on its velocity and the impulse: friction row, then normal row."""
     body, data, impulse = rows.body, rows.data, rows.impulse
     is_a = body[i, BODY_A] == a
     b, sign = (body[i, BODY_B], -1.0) if is_a else (body[i, BODY_A], 1.0)
@@ -109,7 +111,7 @@ def carry(a, i, rows, friction, v, still):
 
 @njit(cache=True)
 def push(v, a, sign, normal, arm, impulse):
-    """Give a body an impulse (λ_n, λ_t), N·s, in place. sign: −1 for body a of the contact, 1 for body b."""
+    """Apply an impulse (λ_n, λ_t), N·s, to body a, in place. sign: −1 if it is body_a of the contact, 1 if body_b."""
     w, (n_x, n_y), (p_n, p_t) = v[a, INVERSE_MASS], normal, impulse
     v[a, V_X] += sign * w * (p_n * n_x + p_t * n_y)
     v[a, V_Y] += sign * w * (p_n * n_y - p_t * n_x)

@@ -46,22 +46,24 @@ S, T = TypeVar("S", bound="State"), TypeVar("T")
 class World:
     """The box, segments, and the constants that hold for every contact.
 
-    box: (x_min, y_min, x_max, y_max), m. gravity: (g_x, g_y), m/s². friction: Coulomb's μ. restitution: Newton's e,
-    felt above (1 − e²) times the scales' threshold (`physics.impacts`). scales: `ContactScales` that hold whatever the
-    scene. Without them, by default, scales follow the scene (`State.scales`): one circle more or less changes them as
-    it changes the mean radius.
+    box: (x_min, y_min, x_max, y_max), m. gravity: (g_x, g_y), m/s². friction: Coulomb's μ. restitution: Newton's e; it
+    acts on approaches faster than (1 − e²) times the scales' threshold (`physics.impacts`). scales: fixed
+    `ContactScales`. Without them, by default, the scales follow the scene (`State.scales`): a circle that is added or
+    removed changes them if it changes the mean radius.
 
-    segments: any number of ((x, y), (x, y)), m: lines beside the box, felt from both sides and at their ends,
-    with the skin of the walls (edge shapes of Box2D). An end that lies on another one or on a wall, to 1e-4 of the
-    circle's radius, is not felt: a circle rolls over the joint as over a chain of Box2D, and so it does over a gap of a
-    fiftieth of its radius. Kept as (x_0, y_0, x_1, y_1) each, which is taken as well: np.reshape(segments, (-1, 2, 2))
-    has the points again.
+    segments: pairs of points ((x, y), (x, y)), m: lines beside the box, with contacts on both sides and at their ends,
+    and with the skin of the walls (edge shapes of Box2D). An end that lies on another segment or on a wall, to within
+    1e-4 of the circle's radius, makes no contact of its own: a circle rolls over the joint as over a chain of Box2D. It
+    also rolls over a gap of up to a fiftieth of its radius. The world keeps each segment as (x_0, y_0, x_1, y_1), which
+    is accepted too; np.reshape(segments, (-1, 2, 2)) gives the points back.
 
-    surface_speeds: of the segments, m/s each, towards their second ends: a belt, or the wall of a drum that turns. The
-    segment stays where it is, and friction drags what touches it. () where all surfaces rest.
+    surface_speeds: speed of the surface of each segment towards its second end, (S,), m/s: a belt, or the wall of a
+    rotating drum. The segment itself stays in place; friction drags the circles that touch it. () means that all
+    surfaces rest.
 
-    segment_velocities: of the ends of the segments, (S, 2, 2), m/s. A segment moves by them in every step, pushes and
-    drags what it touches: the world of the next state has it elsewhere. Kept as the segments are; () where all rest.
+    segment_velocities: velocities of the ends of the segments, (S, 2, 2), m/s. In every step a segment moves with them,
+    and pushes and drags the circles that touch it; the world of the next state has its new position. The world keeps
+    them in the form of the segments; () means that all segments rest.
     """
 
     box: tuple[float, float, float, float] = (0.0, 0.0, 30.0, 30.0)
@@ -74,32 +76,34 @@ class World:
     segment_velocities: Sequence | np.ndarray = ()
 
     def __post_init__(self):
-        vars(self).update(checked_world(self))  # past the dataclass, which is frozen
+        vars(self).update(checked_world(self))  # around __setattr__: the dataclass is frozen
 
     @cached_property
     def is_within_limits(self) -> bool:
-        """Whether the engine computes with all of it (`LIMITS`)."""
+        """Whether all fields, the scales included, are within `LIMITS`, so that the engine computes with them."""
         return not any(beyond_limits(world=self, scales=self.scales))
 
 
 @suggesting
 @dataclass(frozen=True, kw_only=True, repr=False)
 class State:
-    """A moment of a simulation: the bodies before a step, and the contacts found where they are.
+    """A moment of a simulation: the bodies before a step, and the contacts at their positions.
 
-    A scene is a state at time 0. `contacts` is None until they have been looked for. `solver` is what the run uses
-    (options of `physics.solvers`, or None).
-    If `solved`, the contacts hold what they gave in the step from here, in all its substeps and rebounds; if not, they
-    hold the impulses carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does
-    the step from `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.
-    `load` is what the impulses were solved for (`physics.load`), or None where that is unknown, as in a file.
-    `preset` is what chose the solver (`simulate(accuracy=…)`): a run that goes on under it keeps the solver.
-    `push` is what acts on the circles in the step from here, beside gravity: forces (n, 2), N, and torques (n,), N·m;
-    or None. A run sets it to its own push, or to None (`simulate(push=…)`), and `solve_contacts` applies it. No file
-    has it.
+    A scene is a state at time 0. `contacts` is None until collision detection has run. `solver` is the solver of the
+    run (options of `physics.solvers`), or None.
+    If `solved`, the contacts hold the impulses of the step that begins with this state, summed over its substeps and
+    rebounds. If not, they hold the impulses carried over from the step before, from which the start Builtin begins.
+    Either way, `dc.step(state)` does the step from `normal_start` and `tangent_start`, and a run that is written out
+    and read back goes on bit for bit.
+    `load` is a digest of what the impulses were solved for (`physics.load`), or None if that is unknown, as in a file.
+    `preset` is the name of the preset that chose the solver (`simulate(accuracy=…)`): a run that goes on under this
+    preset keeps the solver.
+    `push` is the external load on the circles in the step that begins with this state, beside gravity: forces (n, 2),
+    N, and torques (n,), N·m; or None. A run replaces it by its own push, or by None (`simulate(push=…)`), and
+    `solve_contacts` applies it. Files do not store it.
 
-    States are equal if all fields but `load`, `push` and `preset` are. The fields cannot be set; nothing in this
-    package writes into the arrays of a state that it is given. No later step writes into the arrays of a state.
+    States are equal if all their fields except `load`, `push` and `preset` are equal. The fields cannot be assigned.
+    No function of this package writes into the arrays of a state, and no later step does.
     """
 
     name: str
@@ -131,10 +135,10 @@ class State:
         return contact_scales(self.bodies.radius, self.world.gravity, self.dt, self.world.scales)
 
     def replace(self: S, **changes) -> S:
-        """A copy with some fields changed, and no `preset` where its solver was chosen for other bodies, world or Δt.
+        """A copy with some fields changed. A change of bodies, world, dt or solver sets `preset` to None.
 
-        Raises ValueError where contacts are kept that would become those of other bodies: of another number of circles,
-        or of another segment. Warns where a segment is put elsewhere in the course of a run.
+        Raises ValueError if the contacts are kept but would refer to other bodies: if the number of circles changes, or
+        a segment that has contacts. Warns if a segment changes its position in the course of a run.
         """
         if self.preset is not None and not changes.keys().isdisjoint(("bodies", "world", "dt", "solver")):
             changes.setdefault("preset", None)
@@ -146,12 +150,14 @@ class State:
         return changed
 
     def with_bodies(self, *, add: Bodies | None = None, remove: Sequence | np.ndarray = ()) -> State:
-        """The state without some circles and with others after the rest, ready to go on.
+        """The state with some circles removed and others appended, ready to go on.
 
-        Contacts of the circles that stay keep their impulses; those of the added are found. add: of `make_bodies`.
-        remove: indices of circles, or a flag for each. Raises ValueError on circles that there are not.
+        Contacts of the circles that stay keep their impulses; contacts of the added circles are found.
+
+        add: circles of `make_bodies`. remove: indices of circles, or a flag for each. Raises ValueError on an index
+        that no circle has.
         """
-        from deep_contact import find_contacts  # by the front door: physics stands above states
+        from deep_contact import find_contacts  # from the package, since physics is a layer above states
 
         n, removed = self.bodies.count, checked_indices("remove", remove, self.bodies.count)
         stays = np.delete(np.arange(n), removed)
@@ -173,7 +179,7 @@ class State:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: numbers, and a picture of circles and impulses."""
-        from deep_contact import plotting  # by the front door: plotting stands above states
+        from deep_contact import plotting  # from the package, since plotting is a layer above states
 
         picture = ""
         if self.bodies.count <= notebook.MOST_CIRCLES:
@@ -190,7 +196,7 @@ class State:
         return summary | ({"impulses": "solved"} if self.solved else {})
 
     def _walls(self) -> str:
-        """How many contacts the walls and all segments have: "floor 9, left 2, segments 4"."""
+        """Numbers of contacts of the walls and of all segments, as text: "floor 9, left 2, segments 4"."""
         beyond = np.zeros(0, int) if self.contacts is None else self.contacts.body_b - self.bodies.count
         touched = Counter(SIDES[wall] if wall < 4 else "segments" for wall in np.sort(beyond[beyond >= 0]))
         return ", ".join(f"{name} {count:,}" for name, count in touched.items())
@@ -199,7 +205,7 @@ class State:
 if TYPE_CHECKING:
 
     class StateWithContacts(State):
-        """What a run hands out. For type checkers alone: there, `contacts` is never None."""
+        """A state whose `contacts` is not None, as runs return it. The class exists for type checkers alone."""
 
         contacts: Contacts
 
@@ -217,21 +223,21 @@ def native(state: State) -> State:
 
 
 def changed(part: T, **fields) -> T:
-    """A `State` or `World` with other fields, which are not checked: `replace` takes longer."""
+    """A copy of a `State` or `World` with other fields, unchecked, which takes less time than `replace`."""
     new = object.__new__(type(part))
     vars(new).update(vars(part), **fields)
     return new
 
 
 def frozen(array: np.ndarray) -> np.ndarray:
-    """A copy that cannot be written into."""
+    """A read-only copy of an array."""
     array = array.copy()
     array.flags.writeable = False
     return array
 
 
 def read_only(state: S) -> S:
-    """The state with views of its arrays that cannot be written into."""
+    """The state with read-only views of its arrays."""
 
     def view(array: np.ndarray) -> np.ndarray:
         array = array.view()

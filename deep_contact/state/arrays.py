@@ -1,4 +1,4 @@
-"""The arrays of a state, `Bodies` and `Contacts`, and within which limits the engine computes with them."""
+"""The arrays of a state, `Bodies` and `Contacts`, and the limits within which the engine computes with them."""
 
 from __future__ import annotations
 
@@ -41,14 +41,15 @@ LIMITS = {
 }
 """Name -> smallest and largest value that the engine computes with, and their unit.
 
-A state may hold any finite number, and files keep it; the engine refuses others (`checks.check_limits`). Within,
-nothing overflows, whatever the combination: λ / m <= 1e90 m/s, whose square is a float. A step makes an accepted state
-of one: a body leaves it with at most `scales.FASTEST` m/s and rad/s, and the walls stop it. (Impulses alone may grow,
-after a start of 1e50 N·s.) Circles whose radius is below 1e-13 of their distance from the origin sink in.
+A state may hold any finite number, and files keep it; the engine refuses numbers beyond these limits
+(`checks.check_limits`). Within the limits nothing overflows, whatever the combination: λ / m <= 1e90 m/s, whose square
+is a float. A step that begins within the limits ends within them: a body leaves it with at most `scales.FASTEST` m/s
+and rad/s, and the walls stop it. (Only impulses may grow beyond them, after a start of 1e50 N·s.) Circles whose radius
+is below 1e-13 of their distance from the origin sink into each other.
 """
 
 LARGEST_START = 1e50
-"""Largest impulse that a start may hand to the solver, N·s: below what contacts may carry, so that it can be solved."""
+"""Largest impulse of a start, N·s. It is below the limit of contacts, so that the solved impulses may exceed it."""
 
 
 @by_value
@@ -58,14 +59,14 @@ class Bodies(NamedTuple):
     | field    | meaning                         | shape  | unit  |
     |----------|---------------------------------|--------|-------|
     | position | centre                          | (n, 2) | m     |
-    | velocity | of the centre                   | (n, 2) | m/s   |
+    | velocity | velocity of the centre          | (n, 2) | m/s   |
     | angle    | orientation, counter-clockwise  | (n,)   | rad   |
     | spin     | angular velocity ω              | (n,)   | rad/s |
-    | mass     | infinite: a fixed circle        | (n,)   | kg    |
-    | radius   |                                 | (n,)   | m     |
+    | mass     | mass; infinite: a fixed circle  | (n,)   | kg    |
+    | radius   | radius                          | (n,)   | m     |
 
-    A fixed circle moves by its own velocity and spin, which nothing changes: at 0 it is a peg, else a roller. Fixed
-    circles, walls and segments have no contacts among themselves.
+    A fixed circle moves with its own velocity and spin, which no force or contact changes: if both are 0 it is a peg,
+    otherwise a roller. Fixed circles, walls and segments have no contacts among themselves.
     """
 
     position: np.ndarray
@@ -115,9 +116,9 @@ class Contacts(NamedTuple):
     | body_b          | second circle, n + wall, or n + 4 + segment      | (m,)   | –    |
     | position        | contact point, in the middle of the overlap      | (m, 2) | m    |
     | normal          | unit normal from a to b                          | (m, 2) | –    |
-    | separation      | gap along the normal, negative is penetration    | (m,)   | m    |
-    | normal_impulse  | λ_n, solved (or, unsolved, as the start)         | (m,)   | N·s  |
-    | tangent_impulse | λ_t, likewise                                    | (m,)   | N·s  |
+    | separation      | gap along the normal; penetration if negative    | (m,)   | m    |
+    | normal_impulse  | λ_n, solved; in an unsolved state the start      | (m,)   | N·s  |
+    | tangent_impulse | λ_t, solved; in an unsolved state the start      | (m,)   | N·s  |
     | normal_start    | λ_n that the solver starts from                  | (m,)   | N·s  |
     | tangent_start   | λ_t that the solver starts from                  | (m,)   | N·s  |
     """
@@ -139,7 +140,7 @@ class Contacts(NamedTuple):
 
     @property
     def have_past(self) -> bool:
-        """Whether any of them carries an impulse of a step before: those of positions from elsewhere do not."""
+        """Whether any contact starts from an impulse of an earlier step. Contacts of positions alone do not."""
         return bool(self.normal_start.any() or self.tangent_start.any())
 
     def table(self) -> dict[str, np.ndarray]:
@@ -157,17 +158,17 @@ class Contacts(NamedTuple):
 
 
 def body_name(body: int, circles: int) -> int | str:
-    """A body of a contact among so many circles, as users name it: a circle's number, "floor", or "segment 3"."""
+    """A body of a contact, as users name it: index of a circle, "floor", or "segment 3". circles: their number."""
     beyond = body - circles
     return body if beyond < 0 else SIDES[beyond] if beyond < 4 else f"segment {beyond - 4}"
 
 
 def corners(box: tuple) -> list[tuple[float, float]]:
-    """Of a box, counter-clockwise from (x_min, y_min), so that edge k is wall k."""
+    """Corners of a box, counter-clockwise from (x_min, y_min), so that the edge from corner k to the next is wall k."""
     x_min, y_min, x_max, y_max = box
     return [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
 
 
 def no_contacts() -> Contacts:
-    """Contacts of a state that has none."""
+    """`Contacts` of length 0."""
     return Contacts(*(np.zeros(0, np.int64),) * 2, *(np.zeros((0, 2)),) * 2, *(np.zeros(0),) * 5)

@@ -1,6 +1,6 @@
-"""What a valid state is, said once: `check_state` for any, `check_limits` for what the engine computes with.
+"""The rules of a valid state: `check_state` for any state, `check_limits` for states that the engine computes with.
 
-Files and data sets are read by the same rules (`contact_faults`), and `physics.ready` has their compiled twin.
+Readers of files and data sets apply the same rules (`contact_faults`); `physics.ready` has the rules as compiled code.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ UNIT = 1e-4
 def make_bodies(
     position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None, fixed=False
 ) -> Bodies:
-    """Circles from their centres; everything else is one value for all, or one for each.
+    """Circles from their centres; every other argument is one value for all circles, or one for each.
 
-    position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. angle: rad, and spin: rad/s, both counter-clockwise.
-    density: kg/m², used where `mass` (kg) is None. fixed: True for circles that nothing stops or turns: their mass is
-    infinite (`Bodies`), whatever `mass` and `density` are.
+    position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. angle: rad, counter-clockwise. spin: rad/s,
+    counter-clockwise. density: kg/m², used if `mass` is None. mass: kg. fixed: True for circles whose motion no force
+    or contact changes; their mass is infinite (`Bodies`), whatever `mass` and `density` are.
     Raises ValueError naming the field, the body and the value.
     """
     places = real_numbers(position)
@@ -51,7 +51,7 @@ def make_bodies(
     position = np.atleast_2d(places)
     n = position.shape[0]
     radius = _for_each("radius", radius, (n,))
-    refuse_where(radius <= 0, "bodies.radius", radius, "a number > 0")  # before a mass is made from it
+    refuse_where(radius <= 0, "bodies.radius", radius, "a number > 0")  # before a mass is made of it
     if mass is None:
         density = _for_each("density", density, (n,))
         refuse_where(~(density > 0), "density", density, "a number > 0")
@@ -74,7 +74,7 @@ def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def checked_world(world: World) -> dict:
-    """The fields of a world as it keeps them. Raises ValueError naming the field and the value."""
+    """The fields of a world, validated, in the form that it keeps. Raises ValueError naming the field and the value."""
     segments = _checked_segments(world.segments)
     box = several("box", world.box, 4, expected="finite numbers, (x_min, y_min, x_max, y_max)")
     fits = box[0] < box[2] and box[1] < box[3]
@@ -97,7 +97,7 @@ def check_bodies(bodies: Bodies) -> Bodies:
     if not isinstance(bodies, Bodies):  # the text of all arrays takes longer than their checks
         raise ValueError(f"bodies: expected Bodies, as dc.make_bodies makes them, got {brief(bodies)}")
     n = _length("bodies.mass", bodies.mass)
-    # The radius first: where a mass was made from it, the radius is at fault.
+    # The radius first: if a mass was computed from it, the radius is at fault.
     names = sorted(Bodies._fields, key=lambda name: name != "radius")
     fields = {name: _checked_array("bodies", name, getattr(bodies, name), n) for name in names}
     for name in ("mass", "radius"):
@@ -108,7 +108,7 @@ def check_bodies(bodies: Bodies) -> Bodies:
 def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Contacts:
     """Own, contiguous copies of all fields in sweep order (by body_a, body_b), validated against the bodies.
 
-    segments: how many the world has. Raises ValueError naming the field, the contact and the value.
+    segments: number of segments of the world. Raises ValueError naming the field, the contact and the value.
     """
     m, n = _length("contacts.body_a", contacts.body_a), bodies.count
     fields = {name: _checked_array("contacts", name, value, m) for name, value in contacts._asdict().items()}
@@ -123,9 +123,10 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
 
 
 def contact_faults(fields: Mapping, n: int, segments: int) -> Iterator[tuple[str, np.ndarray, str]]:
-    """Of contacts, (m, …) each, among n circles: a field, which of them are at fault, (m,), and what is expected.
+    """Yield (field, flags of the contacts at fault, (m,), what is expected) of contacts among n circles.
 
-    A touching pair may carry no tensile impulse; starts are not judged here, they are hints.
+    fields: arrays of `Contacts`, (m, …) each. segments: number of segments of the world. A contact may not carry a
+    tensile impulse. Starts are not checked here, since they are only hints to the solver.
     """
     a, b, end, fixed = fields["body_a"], fields["body_b"], n + 4 + segments, "walls, segments" if segments else "walls"
     yield "body_a", (a < 0) | (a >= n), f"a circle, 0 to {n - 1}"
@@ -135,11 +136,11 @@ def contact_faults(fields: Mapping, n: int, segments: int) -> Iterator[tuple[str
 
 
 def check_kept_contacts(before: State, after: State) -> None:
-    """Raise ValueError where a state that keeps contacts has other bodies in the places that these name."""
+    """Raise ValueError if contacts that a state keeps would refer to other bodies than before."""
     hint = "; contacts=None lets them be found, `State.with_bodies` keeps the impulses"
     n, contacts = before.bodies.count, before.contacts
     mass = after.bodies.mass if isinstance(after.bodies, Bodies) else before.bodies.mass
-    circles = len(mass) if isinstance(mass, (list, tuple)) else np.size(mass)  # a list need not be an array's
+    circles = len(mass) if isinstance(mass, (list, tuple)) else np.size(mass)  # a list may be ragged
     if circles != n and contacts.count:
         raise ValueError(f"bodies: expected {n} circles, as the contacts have, got {circles}{hint}")
     old, new = (getattr(state.world, "segments", ()) for state in (before, after))
@@ -149,8 +150,8 @@ def check_kept_contacts(before: State, after: State) -> None:
 
 
 def warn_of_jumps(before: World, after: World) -> bool:
-    """Warn where a segment is put elsewhere without a velocity. Returns whether one is."""
-    count = len(after.segments) if len(before.segments) == len(after.segments) else 0  # others have come or gone
+    """Warn if a segment changes its position without having a velocity. Returns whether a segment does."""
+    count = len(after.segments) if len(before.segments) == len(after.segments) else 0  # none to compare
     for k in range(count):
         is_still = not after.segment_velocities or not any(after.segment_velocities[k])
         if before.segments[k] != after.segments[k] and is_still:
@@ -160,7 +161,7 @@ def warn_of_jumps(before: World, after: World) -> bool:
 
 
 def checked_push(push, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Forces, (n, 2), N, and torques, (n,), N·m, from forces alone, or from a tuple of both. Raises ValueError."""
+    """Forces, (n, 2), N, and torques, (n,), N·m, from an array of forces or a tuple of both. Raises ValueError."""
     both = push if isinstance(push, tuple) and len(push) == 2 else (push, np.zeros(count))
     arrays = [real_numbers(values) for values in both]
     shapes = [getattr(values, "shape", None) for values in arrays]
@@ -171,7 +172,7 @@ def checked_push(push, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def checked_indices(name: str, which, count: int) -> np.ndarray:
-    """Different indices below `count`, from indices or from a flag for each. Raises ValueError on others."""
+    """Indices from 0 to `count` − 1, from indices or from `count` flags. Raises ValueError unless they are distinct."""
     chosen = np.asarray(which)
     if chosen.dtype == bool and chosen.shape == (count,):
         chosen = np.flatnonzero(chosen)
@@ -184,7 +185,7 @@ def checked_indices(name: str, which, count: int) -> np.ndarray:
 
 
 def is_unit(normal: np.ndarray) -> np.ndarray:
-    """Whether vectors, (m, 2), are of length 1, (m,)."""
+    """Whether each of the vectors, (m, 2), has length 1, (m,)."""
     with np.errstate(over="ignore"):
         return np.abs(np.hypot(*normal.T) - 1) <= UNIT
 
@@ -199,7 +200,7 @@ def check_state(state: State) -> State:
 
 
 def check_types(state) -> State:
-    """The state itself, if it, its parts and its settings are of their types. Raises ValueError naming the part."""
+    """The state itself, if its fields have the right types. Raises ValueError naming the field."""
     from deep_contact.state import State, World  # not at the top: that module imports this one
 
     if not isinstance(state, State):
@@ -231,13 +232,16 @@ def check_limits(state: State) -> State:
 
 
 def beyond_limits(**parts) -> Iterator[str]:
-    """The quantities of parts of a state that are beyond `LIMITS`, in its order: which, what is expected, the value."""
+    """Messages on the quantities beyond `LIMITS`, in its order: the quantity, what is expected, the value.
+
+    parts: fields of a state, by name.
+    """
     for name, (low, high, unit) in LIMITS.items():
         owner, _, field = name.partition(".")
         if (part := parts.get(owner)) is not None:
             values = np.asarray(getattr(part, field) if field else part)
             if name == "bodies.mass":
-                values = np.where(np.isposinf(values), high, values)  # those of fixed circles
+                values = np.where(np.isposinf(values), high, values)  # masses of fixed circles
             for at in np.argwhere(~((values >= low) & (values <= high)))[:1].tolist():
                 expected = f"{low:g} to {high:g} {unit}".rstrip()
                 yield f"{name}{at or ''}: expected {expected}, got {values[tuple(at)]}"
@@ -282,23 +286,23 @@ def _checked_scales(scales) -> ContactScales | None:
     expect(is_known, f"scales: expected None or ContactScales, such as scales.BOX2D, got {brief(scales)}")
     limits = {"max_translation": {"above": 0}}
     named = scales._asdict().items()
-    # Floats, also of integers: compiled code is compiled for those.
+    # Integers become floats, for which compiled code is compiled.
     return ContactScales(*(number(f"scales.{name}", v, **limits.get(name, {"low": 0})) for name, v in named))
 
 
 def _length(name: str, values) -> int:
-    """Length of a row of numbers."""
+    """Length of a one-dimensional array."""
     try:
         shape = np.shape(values)
     except ValueError:  # rows of unlike lengths
         shape = ()
-    if len(shape) != 1:  # asked first, since NumPy takes milliseconds to print an array
+    if len(shape) != 1:  # checked first, since NumPy takes milliseconds to print an array
         raise ValueError(f"{name}: expected an array of one dimension, got {brief(values)}")
     return shape[0]
 
 
 def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
-    """An own array: float64, or int64 of indices."""
+    """A validated copy of the array of a field: float64, or int64 for indices."""
     shape = (count, 2) if name in ("position", "velocity", "normal") else (count,)
     if name in ("body_a", "body_b"):
         index = np.asarray(value)
@@ -309,6 +313,6 @@ def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
         return floats(f"{owner}.{name}", value, shape)
     numbers = real_numbers(value)
     if numbers is None or numbers.shape != shape:
-        return floats(f"{owner}.{name}", value, shape)  # which refuses it
-    is_fixed = np.isposinf(numbers)  # a fixed circle has an infinite one
+        return floats(f"{owner}.{name}", value, shape)  # raises ValueError
+    is_fixed = np.isposinf(numbers)  # a fixed circle has an infinite mass
     return np.where(is_fixed, np.inf, floats(f"{owner}.{name}", np.where(is_fixed, 1.0, numbers), shape))

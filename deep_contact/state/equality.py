@@ -12,9 +12,9 @@ K = TypeVar("K", bound=type)
 
 
 def by_value(kind: K) -> K:
-    """The class, whose instances are equal where they are of one class and all their fields are `same`.
+    """Class decorator: two instances are equal if they are of the same class and all their fields are `same`.
 
-    A NamedTuple of arrays has no truth value of `==`, and so no `in`, without it. Instances have no hash.
+    Without it, `==` of two NamedTuples of arrays has no truth value, and `in` fails. Instances cannot be hashed.
     """
 
     def is_equal(self, other):
@@ -25,7 +25,7 @@ def by_value(kind: K) -> K:
 
 
 def same(one, other) -> bool:
-    """Whether two values hold the same: numbers, arrays, texts, and what is made of them. NaN is the same as NaN."""
+    """Whether two values are equal: numbers, arrays, texts, and containers of these. NaN equals NaN."""
     if one is other:
         return True
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
@@ -42,7 +42,7 @@ def same(one, other) -> bool:
 
 
 def _parts(value) -> tuple:
-    """What is compared of an instance."""
+    """The fields of an instance that take part in the comparison."""
     if is_dataclass(value):
         return tuple(getattr(value, field.name) for field in fields(value) if field.compare)
     return tuple(value)

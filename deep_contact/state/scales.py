@@ -1,12 +1,13 @@
 """Lengths, speeds and times of the contact model, as multiples of what a scene has.
 
-Physics has no slop and no skin, so none of them has a length of its own: they follow the scene's mean radius r̄, its
-gravity g and Δt, and a scene of millimetres behaves as the same scene of metres. With lengths times s, times times √s
-and masses times s² a run is the same run but for its units, to the last bit where s is a power of four.
-At r̄ = 1 m, g = 9.81 m/s² and Δt = 0.01 s, the thesis's scene, they are the absolute values of Box2D 2.3 (`BOX2D`).
+Slop and skin belong to the model, not to physics, so they have no absolute lengths. They follow the scene's mean radius
+r̄, its gravity g and Δt, so that a scene in millimetres behaves as the same scene in metres. If lengths are multiplied
+by s, times by √s and masses by s², the run stays the same in the new units, to the last bit if s is a power of four.
+At r̄ = 1 m, g = 9.81 m/s² and Δt = 0.01 s, as in the thesis's scene, the scales are the absolute values of Box2D 2.3
+(`BOX2D`).
 
-Without gravity a scene has no speed of its own. No approach is then too slow to bounce, only what is exactly at rest
-falls asleep, and times are counted in steps.
+Without gravity a scene has no speed of its own. No approach is then too slow to bounce, only circles exactly at rest
+fall asleep, and times are counted in steps.
 """
 
 from __future__ import annotations
@@ -21,26 +22,26 @@ from deep_contact import constants
 _GRAVITY = -constants.GRAVITY[1]
 
 FASTEST = 2e9
-"""Largest speed, m/s, and spin, rad/s, with which a body leaves a step: below `LIMITS`, so that what a step makes
-is accepted."""
+"""Largest speed, m/s, and spin, rad/s, of a body at the end of a step. It is below `LIMITS`, so that the next step
+accepts the state."""
 
 FOLLOWS_SCENE = "scene"
 """Value of a solver's option that follows the scene: `SolverOptions.for_state` puts a number in its place."""
 
 
 class ContactScales(NamedTuple):
-    """Lengths, speeds and times of the contact model; position correction stops at three slops.
+    """Lengths, speeds and times of the contact model. Position correction stops at three slops.
 
     | field                 | meaning                                                               | unit  |
     |-----------------------|-----------------------------------------------------------------------|-------|
     | slop                  | penetration that position correction leaves alone                     | m     |
-    | wall_skin             | walls are felt this far ahead of their surface                        | m     |
+    | wall_skin             | distance from its surface at which a wall makes contact               | m     |
     | max_correction        | largest displacement of one row in one sweep of position correction   | m     |
     | max_translation       | largest displacement of a body in one step; set by `BOX2D` alone      | m     |
     | restitution_threshold | speed s: contacts that approach slower than (1 − e²) s do not bounce  | m/s   |
-    | sleep_speed           | a circle is still up to this speed                                    | m/s   |
-    | sleep_spin            | and up to this angular velocity                                       | rad/s |
-    | sleep_time            | an island falls asleep once it has been still for so long             | s     |
+    | sleep_speed           | largest speed of a circle that counts as still                        | m/s   |
+    | sleep_spin            | largest angular velocity of a circle that counts as still             | rad/s |
+    | sleep_time            | time for which an island is still before it falls asleep              | s     |
     """
 
     slop: float
@@ -67,10 +68,10 @@ BOX2D = ContactScales(
 
 
 def contact_scales(radius, gravity, dt: float, fixed: ContactScales | None = None) -> ContactScales:
-    """The scales of a scene's steps: the fixed ones, or those that follow from its radii, (n,), m, gravity and Δt.
+    """The scales of a scene's steps: the fixed scales, or those that follow from its radii, (n,), m, gravity and Δt.
 
-    Only fixed scales limit how far a circle moves in a step: what is fast stops where it touches something
-    (`physics.continuous`). That limit is cut to `FASTEST` times Δt, m.
+    `max_translation` is at most `FASTEST` times Δt, m. Only fixed scales can set a smaller limit: otherwise a fast
+    circle may move far, and continuous collision finds what it meets (`physics.continuous`).
     """
     length = mean(radius)
     felt = math.sqrt(math.hypot(*gravity) * length / _GRAVITY)  # 0 without gravity
@@ -89,26 +90,28 @@ def contact_scales(radius, gravity, dt: float, fixed: ContactScales | None = Non
 
 
 def theta_tolerance(mass, radius, gravity, dt: float) -> float:
-    """θ at which sweeps end by default, N·s: 6e-5 N·s of the authors' code, in units of the scene's impulses.
+    """θ at which sweeps end by default, N·s: the 6e-5 N·s of the authors' code, scaled by the scene's impulses.
 
-    That unit is m̄ g Δt, over π kg · 9.81 m/s² · 0.01 s; without gravity likewise m̄ r̄ / Δt: 1 for the thesis's scene.
+    The factor is m̄ g Δt over that of the thesis's scene, π kg · 9.81 m/s² · 0.01 s. Without gravity it is m̄ r̄ / Δt
+    over that of the thesis's scene.
+
     mass: (n,), kg. radius: (n,), m. gravity: (g_x, g_y), m/s². dt: s.
     """
     felt, thesis_dt = math.hypot(*gravity), constants.TIME_STEP
     mass = mass[np.isfinite(mass)]  # without fixed circles
-    # In this order the thesis's scene is divided by itself: 1 exactly.
+    # In this order of operations the factor of the thesis's scene is exactly 1.
     if felt > 0.0:
         return constants.THETA_TOLERANCE * (mean(mass) * felt * dt / (math.pi * _GRAVITY * thesis_dt))
     return constants.THETA_TOLERANCE * (mean(mass) * mean(radius) / dt / (math.pi * 1.0 / thesis_dt))
 
 
 def mean(values: np.ndarray) -> float:
-    """Mean of positive numbers, (n,); of equal ones it is exactly the one, and of none 1.
+    """Mean of positive numbers, (n,): exactly their value if all are equal, and 1 of an empty array.
 
-    Sums of equal numbers round: ten radii of 0.1 would have another mean than one.
+    Sums of equal numbers round: without care, the mean of ten radii of 0.1 would differ from 0.1.
     """
     if len(values) == 0:
         return 1.0
     least, most = float(np.min(values)), float(np.max(values))
-    # In shares of the largest, so that no sum overflows.
+    # Numbers are divided by the largest, so that no sum overflows.
     return most if least == most else most * float(np.mean(np.divide(values, most)))

@@ -59,7 +59,7 @@ class BatchedPGS(SolverOptions):
     The options are those of every solver (`SolverOptions`). Position correction goes in the same batches.
 
     Weakness: the order of the contacts is not that of the list, so it may need more sweeps than PGS. Finding the
-    batches costs a part of each step in which contacts have changed, so few sweeps do not repay it.
+    batches takes time in each step in which contacts have changed, which a few sweeps do not repay.
     """
 
 
@@ -111,7 +111,7 @@ def sweep_blocks(plan, tiles, friction):
 
 @njit(cache=True)
 def correct_blocks(plan, tiles, scales):
-    """One sweep of position correction, likewise. Returns the deepest separation, m."""
+    """One sweep of position correction over all tiles, in place. Returns the deepest separation, m."""
     body, data, centre, first, deepest = tiles.body, tiles.data, tiles.centre, plan.first, 0.0
     for k in plan.order[: plan.count[BLOCKS]]:
         deepest = min(deepest, correct_tiles(body, data, ARM_B + 1, centre, first[k], first[k + 1], scales))
@@ -120,7 +120,7 @@ def correct_blocks(plan, tiles, scales):
 
 @njit(cache=True)
 def relax_tiles(settings, plan, tiles, friction, theta):
-    """Projected Gauss-Seidel in batches, in place on the tiles; fills θ. Returns the sweeps."""
+    """Projected Gauss-Seidel in batches, in place on the tiles; fills θ. Returns the number of sweeps."""
     for k in range(theta.shape[0]):
         theta[k] = sweep_blocks(plan, tiles, friction)
         if is_over(theta[k], settings.tolerance):
@@ -130,7 +130,7 @@ def relax_tiles(settings, plan, tiles, friction, theta):
 
 @njit(cache=True)
 def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
-    """The same for the rows of one solve, with a plan and tiles of its own."""
+    """`relax_tiles` for the rows of a single solve, with a plan and tiles of its own."""
     m, n = rows.body.shape[0], solver_bodies.shape[0] - 4
     pairs = rows.body.astype(np.int64)
     plan = batches.plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, batches.make_plan(n, m))
@@ -156,9 +156,9 @@ class _RoomType(StructureType):
 
 
 class Room(Structure):
-    """What the steps of a run hand on, whose fields they replace where they are too small.
+    """Workspace that the steps of a run pass on. A step replaces a field that is too small.
 
-    plan: `BatchPlan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and this one. memory:
+    plan: `BatchPlan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this step. memory:
     `StepMemory`. received: of `StepLog`.
     """
 
@@ -177,7 +177,7 @@ def make_room(contacts, setup):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance_in_batches(setup, contacts, room, log, drive):
-    """`engine.advance` for `BatchedPGS`. room: a `Room`, which each call leaves to the next."""
+    """`engine.advance` for `BatchedPGS`. room: `Room`, which each call passes on to the next."""
     step, options = setup.step, setup.options
     room.contacts, room.memory, room.received = contacts, setup.memory, log.received
     if drive is not None:
@@ -205,9 +205,9 @@ def advance_in_batches(setup, contacts, room, log, drive):
 
 @njit(inline="always")
 def do_part_in_batches(part, options, room, buffer, log, k, drive):
-    """`engine.do_part`: velocities, positions, and the contacts that the next part solves, in the buffer.
+    """`engine.do_part` in batches: velocities, positions, and the contacts of the next substep, in the buffer.
 
-    Returns the segments after it.
+    Returns the segments after the substep.
     """
     bodies, box, segments, scales = part.bodies, part.box, part.segments, part.scales
     n, theta, cells, is_built = bodies.mass.shape[0], room.memory.theta, room.memory.cells, room.memory.is_built
@@ -228,7 +228,7 @@ def do_part_in_batches(part, options, room, buffer, log, k, drive):
         theta[sweeps - 1] = np.nan
     for block in range(plan.count[BLOCKS]):
         batches.store_block(plan, tiles, solved, block, part.parts)
-    # Positions: of segments, of circles, and their correction.
+    # Positions: of segments and of circles, and position correction.
     if drive is not None:
         log_work(part, solved, velocities, log)
         batches.move_points(plan, tiles, part.dt)
@@ -239,7 +239,7 @@ def do_part_in_batches(part, options, room, buffer, log, k, drive):
     log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
     if is_asked(log):
         room.received = log_impulses(log, room.received, solved, impulses_of(solved, 1.0 / part.parts), n)
-    # The contacts that the next part or step solves. Logs and impacts read all geometry; tiles, that of walls.
+    # The contacts of the next substep. Logs and impacts read the geometry of all contacts, tiles that of walls.
     least = 0 if part.restitution > 0.0 or is_asked(log) or drive is not None else n
     position, radius, walls = bodies.position, bodies.radius, collision.Walls(box, scales.wall_skin)
     passed = collision.hold(bodies, before, walls, segments, solved, drive, part.dt)
@@ -257,7 +257,7 @@ def do_part_in_batches(part, options, room, buffer, log, k, drive):
 
 @njit(cache=True)
 def take_velocities(solver_bodies, velocities):
-    """Copy the velocities of solver bodies. By a loop, which compiles in less time than a slice."""
+    """Copy the velocities of solver bodies, in place. The loop compiles in less time than a slice."""
     for i in range(velocities.shape[0]):
         for c in range(velocities.shape[1]):
             velocities[i, c] = solver_bodies[i, c]
@@ -265,7 +265,7 @@ def take_velocities(solver_bodies, velocities):
 
 @njit(cache=True, error_model="numpy")
 def plan_part(part, room):
-    """A plan for the contacts of the room, and room for their tiles, in place."""
+    """Plan the batches of the room's contacts, and allocate their tiles if needed, in place."""
     n, contacts = part.bodies.mass.shape[0], room.contacts
     if not batches.is_plan_of(room.plan, n, contacts, room.solved):
         room.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, room.plan)
@@ -275,7 +275,7 @@ def plan_part(part, room):
 
 @njit(cache=True, error_model="numpy")
 def start_blocks(step, contacts, plan, tiles, rows, is_built, drive):
-    """The rows of all blocks and what they start from, block by block, since that changes velocities."""
+    """Fill the rows of all blocks and apply their starting impulses, block by block, in place on the tiles."""
     for k in plan.order[: plan.count[BLOCKS]]:
         batches.place_block(step, contacts, plan, tiles, k, drive)
         if is_built:
@@ -287,13 +287,13 @@ def start_blocks(step, contacts, plan, tiles, rows, is_built, drive):
 
 
 class _Run:
-    """`engine.advance` for a run."""
+    """`engine.advance` for one run of `BatchedPGS`, with its workspace."""
 
     def __init__(self, solver: BatchedPGS):
         self._room, self._plain, self._driven = None, Direct(advance_in_batches), Direct(advance_in_batches)
 
     def __call__(self, setup, contacts, motion, sleep, log, drive):
-        """As `engine.advance`."""
+        """Arguments and result are those of `engine.advance`."""
         if self._room is None:
             self._room = make_room(contacts, setup)
         return (self._plain if drive is None else self._driven)(setup, contacts, self._room, log, drive)

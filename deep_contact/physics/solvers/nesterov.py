@@ -47,11 +47,11 @@ NesterovSettings = namedtuple("NesterovSettings", ["tolerance"])
 def relax_nesterov(settings, rows, friction, solver_bodies, theta, workspace):
     """Projected Gauss-Seidel with Nesterov's momentum: each sweep starts from λ + β (λ − λ of the sweep before).
 
-    β = (t − 1) / t⁺ with t⁺ = (1 + √(1 + 4 t²)) / 2, from t = 1. t restarts where the step goes uphill: where the
-    change of the sweep points against the last step (gradient scheme of O'Donoghue and Candès 2015). With friction
-    that alone cycles around the solution, so β is bound: 1 − bound doubles when the sum of squared changes grows from
-    one window to the next, or suddenly, and falls by a fifth with every other window.
-    As in `relax_nncg`, velocities are extrapolated with the impulses, and the last sweep is not.
+    β = (t − 1) / t⁺ with t⁺ = (1 + √(1 + 4 t²)) / 2, from t = 1. t restarts at 1 if the step goes uphill, that is, if
+    the change of the sweep points against the last step (gradient scheme of O'Donoghue and Candès 2015). With friction
+    this alone cycles around the solution, so β has a bound: 1 − bound doubles when the sum of squared changes grows
+    from one window to the next, or suddenly, and falls by a fifth with every other window.
+    As in `relax_nncg`, velocities are extrapolated with the impulses, and the last sweep is not extrapolated.
     """
     impulse, velocity = rows.impulse.reshape(rows.impulse.size), solver_bodies.reshape(solver_bodies.size)
     if impulse.size > workspace.last_impulse.size or velocity.size > workspace.last_velocity.size:
@@ -74,12 +74,13 @@ def relax_nesterov(settings, rows, friction, solver_bodies, theta, workspace):
 
 
 FIRST_MEMORY = (1.0, FIRST_MOMENTUM, np.inf, np.inf, 0.0)
-"""What `next_momentum` knows before the first sweep: t, the bound of β, the last change, two windows' changes."""
+"""Memory of `next_momentum` before the first sweep: t, the bound of β, and the squared changes of the last sweep, of
+the last window and of this window."""
 
 
 @njit(cache=True)
 def next_momentum(k, impulse, swept_from, last, memory):
-    """β after the k-th sweep, counted from 0, which led from `swept_from` to the impulses, and the memory after it."""
+    """(β, memory) after the k-th sweep, counted from 0, which led from `swept_from` to the impulses."""
     t, bound, last_size, before, now = memory
     size, downhill = step_and_slope(impulse, swept_from, last)
     now += size

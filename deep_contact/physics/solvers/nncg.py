@@ -51,8 +51,9 @@ def relax_nncg(settings, rows, friction, solver_bodies, theta, workspace):
     """Nonsmooth nonlinear conjugate gradient: what a sweep changes is taken for the descent direction −∇f.
 
     After each sweep, λ ← λ + β p and p ← β p − ∇f with β = ‖∇f‖² / ‖∇f of the sweep before‖² (Fletcher-Reeves), and
-    p ← 0 where β > 1. Velocities are linear in λ, so theirs is carried along instead of being summed up over contacts.
-    The last sweep is not extrapolated: the impulses returned are those that a sweep left in the cone.
+    p ← 0 where β > 1. Velocities are linear in λ, so the direction of the velocities is carried along instead of being
+    summed up over contacts. The last sweep is not extrapolated: the impulses returned are those that a sweep left in
+    the cone.
     """
     # Flat views, so that the loops over all numbers vectorise.
     impulse, velocity = rows.impulse.reshape(rows.impulse.size), solver_bodies.reshape(solver_bodies.size)

@@ -1,9 +1,9 @@
-"""The registry of solvers: what a solver's options compile to.
+"""The registry of solvers: the settings and the compiled loop that belong to a solver's options.
 
 A solver is one file: its options (a frozen dataclass, a subclass of `SolverOptions`, that tells its weakness and
 source), its settings (a named tuple: the options as compiled code takes them), its loop, and one call of `register`.
-The type of the settings picks the loop when the step is compiled, so a run with one solver never compiles another and
-decides nothing between steps. A solver from outside this package registers in the same way;
+The type of the settings picks the loop when the step is compiled, so that a run compiles no other solver and makes no
+choice between steps. A solver from outside this package registers in the same way;
 `tests/physics/test_registry.py` has an example.
 """
 
@@ -101,7 +101,7 @@ class Loop(NamedTuple):
     relax: compiled function (settings, rows, friction, solver_bodies, theta, workspace) -> number of sweeps. It works
     in place on `rows.impulse` and on the solver bodies, which stay v + M⁻¹ Jᵀ λ; writes the θ of each sweep; stops
     where `convergence.is_over` says so, at the latest after theta.shape[0] sweeps.
-    workspace: compiled function (rows, solver_bodies) -> what `relax` needs beside those, made once a run; or None.
+    workspace: compiled function (rows, solver_bodies) -> work arrays of `relax`, made once a run; or None.
     counts_relaxations: whether `relax` returns (sweeps, relaxations). If not, each sweep relaxes every contact once.
     """
 
@@ -119,7 +119,7 @@ class Entry(NamedTuple):
 
     @property
     def can_sleep(self) -> bool:
-        """Whether its steps can leave islands asleep."""
+        """Whether islands can sleep in the steps of this solver."""
         return self.advance is None
 
 
@@ -159,7 +159,7 @@ def entry_of(solver) -> Entry:
 def tolerance_argument(solver) -> float:
     """The tolerance as compiled functions take it: −1, which is never met, in place of None.
 
-    Raises ValueError where it follows the scene: `for_state` tells the number.
+    Raises ValueError if the tolerance follows the scene: `for_state` gives the number.
     """
     if solver.tolerance == FOLLOWS_SCENE:
         raise ValueError(f"tolerance: expected a number or None, of solver.for_state(state), got {solver.tolerance!r}")
@@ -167,12 +167,12 @@ def tolerance_argument(solver) -> float:
 
 
 def solver_from(method: str, options: Mapping):
-    """The solver that a file names by its method and options.
+    """The solver of a file, from its method and options.
 
     Old files name a precision, which is always double, threads, which change no bit, and `islands` of solvers that do
     not have it, which is always False.
 
-    Raises ValueError for an unknown method, an unknown option, and what the method raises for its options.
+    Raises ValueError for an unknown method, for an unknown option, and for values that the method refuses.
     """
     one_of("precision", options.get("precision", "double"), ("double",))
     known = {name: value for name, value in options.items() if name not in ("precision", "threads")}
@@ -192,7 +192,7 @@ def describe(solver) -> str:
 
 
 def make_workspace(settings, rows, solver_bodies):
-    """What the loop needs beside rows and solver bodies of that size; None where it needs nothing."""
+    """Work arrays of the loop for rows and solver bodies of this size; None if the loop needs none."""
     return _make_workspace(type(settings))(settings, rows, solver_bodies)
 
 
