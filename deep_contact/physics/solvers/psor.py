@@ -16,8 +16,8 @@ from deep_contact.physics.solvers.registry import Loop, SolverOptions, register,
 class PSOR(SolverOptions):
     """Projected successive over-relaxation: PGS with every change of an impulse multiplied by ω.
 
-    omega: ω, between 0 and 2. friction_omega: ω of the friction rows; None: also `omega`. The other options are those of
-    every solver (`SolverOptions`).
+    omega: ω, between 0 and 2. friction_omega: ω of the friction rows; None: also `omega`. The other options are those
+    of every solver (`SolverOptions`).
 
     Without friction it converges for 0 < ω < 2 (Cottle, Pang and Stone, The Linear Complementarity Problem, 1992,
     section 5.3); other values are refused. Weakness: with friction convergence is not proven. The bounds ±μ λ_n move
