@@ -18,7 +18,7 @@ from deep_contact.io import shipped
 from deep_contact.io.files import FileError, check_writable
 from deep_contact.reporting import scripts
 
-# Whatever takes time to import is imported by the command that needs it: --help and --version are immediate.
+# Modules that take time to import are imported by the command that needs them: --help and --version are immediate.
 
 COMMANDS = {
     "simulate": "run a scene, or go on from a state",
@@ -33,7 +33,7 @@ COMMANDS = {
 }
 
 SCENES = ("circles_in_box", "lattice_in_box", "drifting_circles", "hopper", "terrain", "drum")
-"""What `trade --scene` makes of numbers of circles and seeds."""
+"""Scenes of `trade --scene`, which are made from a number of circles and a seed."""
 
 DIVERGED = 1
 BAD_ARGUMENTS = 2
@@ -47,7 +47,7 @@ is not installed (Keras and TensorFlow in a small environment), 130 Ctrl-C; else
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; its exit status, see `STATUS`."""
+    """Run the command line. Returns its exit status, see `STATUS`."""
     arguments = [_without_exponent(word) for word in (sys.argv[1:] if arguments is None else arguments)]
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             args = parser.parse_args(arguments)
             return args.run(args)
-    except BrokenPipeError:  # of `deep-contact figure | head`
+    except BrokenPipeError:  # as with `deep-contact figure | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more
         return 0
     except (FloatingPointError, OSError, FileError, MemoryError, ModuleNotFoundError) as error:
@@ -71,7 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         commands[name].error(str(error))
     except KeyboardInterrupt:
         return INTERRUPTED
-    # Outside of the try block: the error of a script is none of an argument.
+    # Outside of the try block: the error of a script is no error of an argument.
     words = " ".join([parser.prog, *arguments[: len(arguments) - len(following)]])
     try:
         return _run(script, [words, *following])
@@ -142,7 +142,7 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def _number_or_word(text: str) -> float | str:
-    """A word is the state file, where it comes last (`_scene`): argparse gives it to the option before it."""
+    """The text as a number, or as it is: argparse gives a state file that comes last to the option before it."""
     try:
         return float(text)
     except ValueError:
@@ -187,7 +187,7 @@ def _simulate(args) -> int:
     run_of = f"{counted(state.bodies.count, 'circle')}, {counted(args.steps, 'step')} of {state.dt:g} s"
     print(f"{state.name}: {run_of}, {describe(state.solver)}")
     if args.steps:
-        is_fixed = state.solver.tolerance is None  # then to be done with all sweeps is no failure
+        is_fixed = state.solver.tolerance is None  # then doing all sweeps is no failure
         why = "a fixed number of sweeps" if is_fixed else run.status[-1].replace("_", " ")
         ended = f"last θ: {run.theta[-1]:.3g} N·s ({why})"
         print(f"contacts: {state.contacts.count}; sweeps a step: {run.sweeps.mean():.1f}; {ended}")
@@ -205,7 +205,7 @@ def _simulate(args) -> int:
             run.trajectory.save(out)
         elif out.suffix == ".html":
             run.trajectory.film(out)
-        else:  # at the pace of the scene where the eye can follow
+        else:  # at the pace of the scene, if the eye can follow
             run.trajectory.film(out, fps=min(120.0, 1.0 / (args.every * state.dt)))
         print(out)
     return 0
@@ -246,8 +246,8 @@ def _trade(args) -> int:
         make = make if args.bodies is None else partial(make, args.bodies)
         scene = lambda seed: make(seed=seed)  # noqa: E731
     names = ("steps", "seeds", "minutes", "engines", "jobs")
-    if threading.current_thread() is threading.main_thread():  # no other may ask for signals
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # what has been measured is kept, as after Ctrl-C
+    if threading.current_thread() is threading.main_thread():  # no other thread may handle signals
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # results so far are kept, as after Ctrl-C
     trade = dc.measure_trade(scene, **{name: getattr(args, name) for name in names})
     print(trade)
     if args.out is not None:
@@ -287,7 +287,7 @@ def _scene(args):
         way = "; `--gravity 0` switches gravity off" if name == "no_gravity" else ""
         expect(is_left_out, f"{flag}: expected none beside STATE.xml, which is a scene already, got {value}{way}")
     state = dc.load_trajectory(args.state)[-1] if args.state.endswith(".h5") else dc.read_state(args.state)
-    # Its impulses are those of its own world: in another one they are solved anew.
+    # Its impulses are those of its own world: in another world they are solved anew.
     return state.replace(load=load_of(state), world=replace(state.world, **world)) if world else state
 
 
@@ -297,14 +297,14 @@ KINDS = {
     "segments that move": ("drum", {"accuracy": "fast"}),
     "a pile, accurately": ("lattice_in_box", {"accuracy": "reference"}),
 }
-"""Kinds of scenes and solvers that are compiled each by itself, the longest first."""
+"""Kinds of scenes and solvers, each of which is compiled by itself, the longest first."""
 
 
 def _warm_up(args) -> int:
     """Compile all kinds, in as many processes as there are cores."""
     import time
 
-    # By its module: under `python -m` this one is called __main__, where other processes do not find it.
+    # Imported from its module: under `python -m` this module is called __main__, where other processes do not find it.
     from deep_contact.__main__ import _compile
     from deep_contact.parallel import cores, finished
 
@@ -316,7 +316,7 @@ def _warm_up(args) -> int:
 
 
 def _compile(kind: str) -> float:
-    """Run a step of a kind; its time, s."""
+    """Run a step of a kind. Returns its time, s."""
     import time
 
     import deep_contact as dc
@@ -345,13 +345,13 @@ def _list(args) -> int:
 
 
 def _known(command: str) -> dict[str, Path]:
-    """All figures and tables, or the tables alone."""
+    """Number -> script of all figures and tables, or of the tables alone."""
     paths = scripts.find(shipped.ROOT / "scripts")
     return {number: path for number, path in paths.items() if command == "figure" or number.startswith("T")}
 
 
 def _script(command: str, number: str) -> Path:
-    """The script of a figure or table. Raises ValueError naming those that there are."""
+    """The script of a figure or table. Raises ValueError naming the known numbers."""
     if number == "all":
         return shipped.ROOT / "scripts" / "all_figures.py"
     number = scripts.normalized(number)
@@ -362,9 +362,9 @@ def _script(command: str, number: str) -> Path:
 
 
 def _run(script: Path, argv: list[str]) -> int:
-    """Run a script as the main program, which is what processes that it starts take it for.
+    """Run a script as the main program, as which processes that it starts import it.
 
-    `runpy.run_path` does the same, but puts the script's name in place of the command's into its help.
+    `runpy.run_path` also does this, but puts the script's name in place of the command's into its help.
     """
     module = types.ModuleType("__main__")
     module.__file__ = str(script)

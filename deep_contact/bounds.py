@@ -1,7 +1,7 @@
-"""What a motion says of the impulses behind it: with friction, bounds.
+"""Bounds on the impulses behind a motion, which with friction does not determine them.
 
 A pile has more contacts than it needs to rest. All impulses in Coulomb's cone with the same sums on every circle give
-the same motion, and no observer of positions and velocities can tell them apart. This set is convex (McNamara and
+the same motion, and no observer of positions and velocities can tell them apart. Their set is convex (McNamara and
 Herrmann, Phys. Rev. E 70, 061303, 2004): each end of a contact's interval is a linear program. Sources: Radjai, Jean,
 Moreau and Roux, Phys. Rev. Lett. 77, 274 (1996); Unger, Kertész and Wolf, Phys. Rev. Lett. 94, 178001 (2005).
 """
@@ -40,12 +40,12 @@ OPTIONS: dict[str, bool | int | float | str] = {
     "output_flag": False, "threads": 1, "presolve": "off", "solver": "simplex", "simplex_strategy": 4,
     "primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10,
 }  # fmt: skip
-"""Of HiGHS: primal simplex, in silence."""
+"""Options of HiGHS: primal simplex, without output."""
 
 
 @by_value
 class ForceBounds(NamedTuple):
-    """Bounds on the impulses of k contacts; a force is an impulse over Δt. Without a bound it is ±infinity.
+    """Bounds on the impulses of k contacts; a force is an impulse over Δt. A missing bound is ±infinity.
 
     | field      | meaning                                                                       | shape  | unit |
     |------------|-------------------------------------------------------------------------------|--------|------|
@@ -67,14 +67,14 @@ def force_bounds(
 ) -> ForceBounds:
     """Least and largest λ_n and λ_t of each contact over all impulses that give the state's exact motion.
 
-    The motion is that of the state's impulses where their `metrics.residual` is at most 1e-8 m/s. From other impulses,
-    and for a state that is not solved, `dc.solve_exactly` finds it.
-    A contact that separates at more than 1e-6 m/s, a hundred times that residual, carries nothing. One that slides
-    faster than that lies on its edge of Coulomb's cone. Slower ones may carry all that the cone allows: their intervals
-    are too wide rather than too narrow.
+    The motion is that of the state's impulses if their `metrics.residual` is at most 1e-8 m/s. From other impulses, and
+    for a state that is not solved, `dc.solve_exactly` finds the motion.
+    A contact that separates at more than 1e-6 m/s, a hundred times that residual, carries no impulse. A contact that
+    slides faster than that lies on an edge of Coulomb's cone. Slower contacts may carry all that the cone allows: their
+    intervals are too wide rather than too narrow.
 
-    contacts: numbers of those that are wanted; None are all. jobs: processes, or an executor.
-    Raises ValueError naming the argument, also where no exact motion was found.
+    contacts: indices of contacts; None for all. jobs: number of processes, or an executor.
+    Raises ValueError naming the argument, also if no exact motion was found.
     """
     _highspy()  # before anything is computed
     state = ready(state)
@@ -85,7 +85,8 @@ def force_bounds(
     expect(exact.converged, f"state: expected contacts solved to {EXACT:g} m/s, got a residual of {exact.residual:.3g}")
     impulse = np.column_stack([exact.solution.normal_impulses, exact.solution.tangent_impulses])
     u_n, u_t = metrics.row_velocities(state, exact.solution.velocities, exact.solution.angular_velocities)
-    # λ of a contact is a sum of the edges of its cone, (1, ±μ), of unit length: sums >= 0 are all that the cone says.
+    # λ of a contact is a sum of the unit vectors along the edges of its cone, (1, ±μ). The cone is the set of all sums
+    # with factors >= 0.
     sides = np.array([1.0, -1.0] if mu > 0 else [0.0])
     side, of = np.nonzero((u_n <= MOVING) & (sides[:, None] * u_t <= MOVING))
     places = np.concatenate([2 * of, 2 * of + 1]), np.tile(np.arange(of.size), 2)
@@ -93,7 +94,7 @@ def force_bounds(
     edges = sparse.csc_array(
         (np.concatenate([np.full(of.size, 1 / length), sides[side] * mu / length]), places), shape=(2 * m, of.size)
     )
-    impulse[u_n > MOVING] = 0.0  # what the residual leaves there
+    impulse[u_n > MOVING] = 0.0  # the residual leaves small impulses there
     slides = np.abs(u_t) > MOVING
     impulse[slides, 1] = -np.sign(u_t[slides]) * mu * impulse[slides, 0]
     scale = float(impulse[:, 0].mean()) if impulse[:, 0].any() else 1.0
@@ -128,7 +129,7 @@ class Program(NamedTuple):
 
 
 def _highspy():
-    """The package. Raises ModuleNotFoundError with the command that brings it."""
+    """The package highspy. Raises ModuleNotFoundError with the command that installs it."""
     try:
         import highspy
     except ModuleNotFoundError as error:
@@ -138,7 +139,7 @@ def _highspy():
 
 
 def _highs(program: Program) -> Highs:
-    """The program without a cost, solved. From its solution, or that for another cost, primal simplex goes on."""
+    """The program in HiGHS, solved without a cost. Primal simplex goes on from its solution when the cost changes."""
     highs, A = _highspy().Highs(), program.matrix
     for option, value in OPTIONS.items():
         highs.setOptionValue(option, value)
@@ -164,7 +165,7 @@ def _ends(part: tuple) -> np.ndarray:
         status = highs.getModelStatus()
         if status == known.kOptimal:
             ends[place] = sign * highs.getInfo().objective_function_value
-            is_zero[::2] |= (edges @ highs.getSolution().col_value)[::2] == 0.0  # no λ_n is below that: a program less
+            is_zero[::2] |= (edges @ highs.getSolution().col_value)[::2] == 0.0  # the least λ_n: no program
         else:
             expect(status == known.kUnbounded, f"state: expected programs that HiGHS solves, got {status}")
             ends[place] = -sign * np.inf

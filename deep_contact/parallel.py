@@ -1,6 +1,6 @@
-"""Where independent tasks run: in processes of this machine, or wherever an executor sends them.
+"""Parallel runs of independent tasks: in processes of this machine, or wherever an executor sends them.
 
-The local pool is not joblib's: its workers outlive a killed parent and get Ctrl-C themselves.
+The local pool is our own, since the workers of joblib's outlive a killed parent and get Ctrl-C themselves.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from deep_contact.validation import integer
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def workers(jobs: int | Executor) -> int:
-    """How many tasks run at once: a number of processes, or the threads of all workers of an executor; 1 if unknown."""
+    """Number of tasks that run at once: of processes, or of the threads of all workers of an executor; 1 if unknown."""
     if isinstance(jobs, int):
         return jobs
     if hasattr(jobs, "_client"):  # Dask's
@@ -35,7 +35,7 @@ def workers(jobs: int | Executor) -> int:
 
 
 def progress_bar(items: Iterable | None = None, *, total: int | None = None, text: str = ""):
-    """A progress bar on standard error around `items`; without items, one to move by `.update(n)`.
+    """A progress bar on standard error around `items`; without items, a bar that `.update(n)` moves.
 
     It appears after one second. A terminal is updated every 0.2 s, a log file every 10 s.
     """
@@ -46,7 +46,7 @@ def progress_bar(items: Iterable | None = None, *, total: int | None = None, tex
 
 
 def seeds(seed: int, count: int) -> list[int]:
-    """`count` independent seeds from one, for items that run in parallel. Item i always gets the same seed."""
+    """`count` independent seeds from one seed, for items that run in parallel. Item i always gets the same seed."""
     return [int(child.generate_state(1, np.uint64)[0]) for child in np.random.SeedSequence(seed).spawn(count)]
 
 
@@ -67,17 +67,17 @@ def parallel_map(
 def finished(function: Callable, items: Iterable, *, jobs: int | Executor = 1) -> Iterator[tuple[int, object]]:
     """(i, function(item i)) of all items, in the order in which they are done.
 
-    jobs: number of local processes, which are spawned; with one, or one item, everything happens in this process.
-    Or an executor, which stays open. `function` has to be found by import (a script's own functions are), and items and
+    jobs: number of local processes, which are spawned, or an executor, which stays open. With one process, or one item,
+    everything runs in this process. `function` has to be found by import (a script's own functions are), and items and
     results have to be picklable. The first error, an interrupt, or closing the iterator cancels the tasks that have not
-    begun, and ends local processes at once; use `contextlib.closing` where the loop itself may raise. Results are
-    handed on and not kept. Raises ValueError for other `jobs`, and RuntimeError where a local process ends before its
-    task is done.
+    begun, and ends local processes at once; use `contextlib.closing` if the loop itself may raise. Results are passed
+    on and not kept. Raises ValueError for other `jobs`, and RuntimeError if a local process ends before its task is
+    done.
     """
     items = list(items)
     if not isinstance(jobs, Executor) and (integer("jobs", jobs, 1) == 1 or len(items) < 2):
         return ((i, function(item)) for i, item in enumerate(items))
-    return _finished(function, items, jobs)  # a generator, which would raise at the first item alone
+    return _finished(function, items, jobs)  # a generator would check arguments only at its first item
 
 
 def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator[tuple[int, object]]:
@@ -103,7 +103,7 @@ def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator
 def _processes(count: int) -> Iterator[Executor]:
     """Spawned processes of this machine; after an error they are ended at once, even in the middle of a task."""
     if getattr(multiprocessing.current_process(), "_inheriting", False):
-        os._exit(1)  # a process that imports a main program without a guard; the parent says so
+        os._exit(1)  # a process that imports a main program without a guard; the parent reports it
     # Spawned, not forked: a fork would copy the threads of the parent's libraries in an unknown state.
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
@@ -134,7 +134,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _interrupts_held_back():
-    """Ctrl-C waits until this is over. Processes started within never get it: the parent ends them."""
+    """Delay Ctrl-C until the context is over. Processes started within never get it: the parent ends them."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

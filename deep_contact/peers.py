@@ -28,9 +28,10 @@ from deep_contact.validation import brief, expect
 
 
 class _Peer:
-    """What the adapters share. A subclass builds its world and lists its bodies in `_bodies`, in our order.
+    """Base class of the adapters. A subclass builds its world and lists its bodies in `_bodies`, in our order.
 
-    name: of the engine. package: of its Python module and distribution. reach: gap below which it makes a contact, m.
+    name: name of the engine. package: name of its Python module and distribution. reach: gap below which it makes a
+    contact, m.
     """
 
     name: str
@@ -52,24 +53,24 @@ class _Peer:
         expect(not bodies.is_fixed.any(), f"mass: expected no fixed circles for {self.name}, got {brief(bodies.mass)}")
 
     def _circles(self) -> Iterator[tuple]:
-        """Body by body: position, velocity, angle, spin, mass, radius as Python floats."""
+        """(Position, velocity, angle, spin, mass, radius) of each circle, as Python floats."""
         bodies = self._state.bodies
         vectors = (map(tuple, values.tolist()) for values in (bodies.position, bodies.velocity))
         return zip(*vectors, *(values.tolist() for values in (bodies.angle, bodies.spin, bodies.mass, bodies.radius)))
 
     def run(self, steps: int, *options) -> None:
-        """So many steps. options: of `step`."""
+        """Do `steps` steps. options: of `step`."""
         for _ in range(steps):
             self.step(*options)
 
     def bodies(self) -> Bodies:
-        """The bodies now. The masses are the engine's (float32 in Box2D), the radii ours."""
+        """The present bodies. The masses are the engine's (float32 in Box2D), the radii ours."""
         columns = [[getattr(body, name) for body in self._bodies] for name in self._fields]
         position, velocity = (np.array([tuple(xy) for xy in column]).reshape(-1, 2) for column in columns[:2])
         return check_bodies(Bodies(position, velocity, *map(np.array, columns[2:]), self._state.bodies.radius))
 
     def contact_count(self) -> int:
-        """Contacts at the positions now: gaps of at most `reach`. They are what the engine reports, where it does."""
+        """Number of contacts at the present positions, gaps of at most `reach`, which is what engines report."""
         state, bodies, near = self._state, self.bodies(), 0.5 * self.reach
         scales = state.scales._replace(wall_skin=state.scales.wall_skin + near)
         grown = bodies._replace(radius=bodies.radius + near)
@@ -92,7 +93,7 @@ class Box2D23(_Peer):
         self.world = b2.b2World(gravity=world.gravity, doSleep=False, continuousPhysics=False, warmStarting=True)
         material = {"friction": world.friction, "restitution": world.restitution}
         walls = b2.b2FixtureDef(shape=b2.b2LoopShape(vertices=corners(world.box)), **material)
-        # The child edge of a contact says which wall it is. They count as ours: bottom, right, top, left.
+        # The child edge of a contact is the wall. Edges are numbered as our walls: bottom, right, top, left.
         self.world.CreateStaticBody(fixtures=walls).fixtures[0].userData = -1
         for s, (x_0, y_0, x_1, y_1) in enumerate(world.segments):
             edge = b2.b2FixtureDef(shape=b2.b2EdgeShape(vertices=[(x_0, y_0), (x_1, y_1)]), **material)
@@ -118,7 +119,7 @@ class Pymunk(_Peer):
     `slop` times ours, and the positional bias to the share `bias` of the penetration a step. Chipmunk multiplies
     friction and restitution of the two shapes (where Box2D takes root and maximum), so each shape is given the root.
     Two differences remain: restitution acts at any approach speed, and positions are integrated before contacts are
-    looked for.
+    found.
     """
 
     name = package = "pymunk"
@@ -157,14 +158,14 @@ class Pymunk(_Peer):
 
 
 class Box2D3(_Peer):
-    """Box2D v3 through `pyb2d3`, on so many threads.
+    """Box2D v3 through `pyb2d3`, on `threads` threads.
 
-    Its Soft Step solver has no velocity sweeps. A step is divided into substeps, and each substep goes over
-    all contacts twice: once with soft position bias ("solve") and once without ("relax"), with an
-    integration of positions in between. `sweeps` is the number of substeps here, so its "sweep" is such a
-    pair; contacts are looked for once a step. `position_sweeps` is ignored. Walls are capsules of the skin's radius,
-    because v3's segments have none. It makes contacts ahead of touch (`B2_SPECULATIVE_DISTANCE`). hertz: stiffness
-    of its soft contacts, Hz, of which it takes a quarter of the rate of substeps at most.
+    Its Soft Step solver has no velocity sweeps. A step is divided into substeps, and each substep goes over all
+    contacts twice: once with soft position bias ("solve") and once without ("relax"), with an integration of positions
+    in between. `sweeps` is the number of substeps here, so that a "sweep" is such a pair; contacts are found once a
+    step. `position_sweeps` is ignored. Walls are capsules of the skin's radius, because v3's segments have no radius.
+    It makes contacts ahead of touch (`B2_SPECULATIVE_DISTANCE`). hertz: stiffness of its soft contacts, Hz; the engine
+    limits it to a quarter of the rate of substeps.
     """
 
     name, package = "Box2D v3", "pyb2d3"
@@ -195,7 +196,7 @@ class Box2D3(_Peer):
         self.world.step(dt, sweeps)
 
     def bodies(self) -> Bodies:
-        """The bodies now, masses as Box2D has them (float32 in all but the radius). Angles lie in (-π, π]."""
+        """The present bodies, with Box2D's masses (float32 in all but the radius). Angles lie in (-π, π]."""
         batch = self._batch
         angle = np.arctan2(*batch.get_rotations().astype(np.float64).T[::-1])
         mass = np.array([body.mass for body in self._bodies])

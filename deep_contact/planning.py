@@ -1,6 +1,6 @@
-"""What a run of a scene uses and what it leaves out: `plan`, made to be printed.
+"""Features of the model that a run of a scene uses, and those that it leaves out: `plan`, made to be printed.
 
-The choices are those that `simulate` makes. What parts of a step cost is in Figure 6.7.
+The choices are those of `simulate`. Figure 6.7 has the costs of the stages of a step.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from deep_contact.warm_start import Builtin, Cnn, NoStart, Start
 
 
 class Choice(NamedTuple):
-    """Whether a run uses a part of the model, and why."""
+    """Whether a run uses a feature of the model, and why."""
 
     used: bool
     why: str
@@ -31,10 +31,10 @@ class Choice(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a run does with a scene, made to be printed. choices: name of a part of the model -> `Choice`.
+    """Solver, start and features of a run of a scene, made to be printed.
 
-    us: what a step costs, μs, at most for what is solved to a tolerance; None where the caller or the state gave the
-    solver.
+    us: time of a step, μs, an upper bound if it is solved to a tolerance; None if the solver is that of the caller or
+    of the state. choices: name of a feature of the model -> `Choice`.
     """
 
     scene: str
@@ -45,7 +45,7 @@ class Plan:
     choices: dict[str, Choice]
 
     def __getitem__(self, part: str) -> Choice:
-        """The choice of a part, by name. Raises ValueError naming the parts."""
+        """The choice of a feature, by name. Raises ValueError naming the features."""
         return self.choices[one_of("part", part, self.choices)]
 
     def _title(self) -> str:
@@ -68,10 +68,10 @@ class Plan:
 def plan(
     scene: State, *, solver=None, warm_start: Start = "builtin", accuracy: Accuracy | None = None, sleep: bool = False
 ) -> Plan:
-    """What `simulate` would use for a scene with these options, and what it would leave out.
+    """The `Plan` of a run: what `simulate` would use for a scene with these options, and what it would leave out.
 
-    Nothing is simulated; contacts are looked for where the scene has none. Arguments as in `simulate`.
-    Raises ValueError on arguments that do not hold together.
+    Nothing is simulated; contacts are found if the scene has none. Arguments as in `simulate`.
+    Raises ValueError on arguments that do not fit each other.
     """
     scene = ready(scene)
     solver, start, name, decision = method_of(scene, solver, warm_start, accuracy, sleep=sleep)

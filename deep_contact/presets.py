@@ -1,13 +1,13 @@
-"""How accurate, and the cheapest way there: the presets of `simulate(accuracy=…)`, and `recommend`.
+"""Presets of accuracy, and the cheapest setting for each: `simulate(accuracy=…)` and `recommend`.
 
 A preset is a table of tolerances on the errors of a run (`run_errors.ERRORS`). The package has a study of settings: a
-method, a number of sweeps and a time step each. It has their errors and times on kinds of scenes (`studies.runs`), and
-was written by `scripts/run_tradeoff.py --install`. A preset takes the cheapest setting that keeps its tolerances on
-scenes like the user's.
+method, a number of sweeps and a time step each. The study has their errors and times on kinds of scenes
+(`studies.runs`); `scripts/run_tradeoff.py --install` writes it. A preset takes the cheapest setting that keeps its
+tolerances on scenes like the user's.
 
-A setting's time step is meant for circles of r = 1 m under g = 9.81 m/s². For others it is scaled by √(r / g). Where
-the user's step is longer, it is divided into substeps. Most settings divide it further where something is about to hit
-(`physics.substeps`), and have a slop of their own.
+A setting's time step is meant for circles of r = 1 m under g = 9.81 m/s². For other circles it is scaled by √(r / g). A
+longer step of the user's is divided into substeps. Most settings divide it further if a circle is about to hit
+something (`physics.substeps`), and have a slop of their own.
 
 A scene that a few sweeps cannot solve gets a solver of its own (`stiffness`).
 """
@@ -33,14 +33,14 @@ from deep_contact.stiffness import Stiffness, stiffness
 from deep_contact.validation import number, one_of, suggesting
 
 TABLE = Path(__file__).parent / "reference" / "runs.json"
-"""What the study installed, shipped with the package."""
+"""File of the study that is shipped with the package."""
 
 Accuracy = Literal["preview", "fast", "balanced", "accurate", "reference"]
 """The names of `PRESETS`, from the loosest to the tightest."""
 
 
 class MeasuredAccuracy(Protocol):
-    """What was measured on the scene itself, a `trade.Trade`: it decides in place of the study."""
+    """A measurement on the scene itself, such as a `trade.Trade`, which decides in place of the study."""
 
     def decide(self, scene: State) -> Decision: ...
 
@@ -59,56 +59,57 @@ PRESETS: dict[str, dict[str, float]] = {
 }  # fmt: skip
 """Preset -> tolerance of each error: in %, contacts in contacts per circle.
 
-"preview" tolerates how deep circles go into one another in an impact with a step of 10 ms, which no number of sweeps
-changes; the forces of frictionless piles are tolerated loosely up to "accurate", since slop closes their gaps.
+"preview" tolerates the penetration in an impact with a step of 10 ms, which no number of sweeps changes. Up to
+"accurate" the tolerance of forces is loose because of frictionless piles, whose gaps the slop closes.
 """
 
 MARGIN = 0.85
 """Largest share of its tolerance that an error of the study should have: the study has few seeds of a few scenes."""
 
 KNOWN = 1.0
-"""Largest error, %, of a setting where the answer is known (`studies.known`): no preset takes one that has more."""
+"""Largest error, %, of a setting in cases with a known answer (`studies.known`). No preset takes one with more."""
 
 _NEARLY = 1.05
-"""A step so many times as long as the study's is not divided: the mean of radii drawn around 1 m is not exactly 1 m."""
+"""Ratio of a step to the study's step up to which it is not divided: the mean of random radii around 1 m is not exactly
+1 m."""
 
 MOST_SUBSTEPS = 1024
-"""A preset divides a step into so many at most."""
+"""Largest number of substeps into which a preset divides a step."""
 
 FASTEST = 10.0
-"""Largest speed of circles, in √(g r), that the study's time steps are meant for; faster ones get shorter steps."""
+"""Largest speed of circles, in √(g r), for which the study's time steps are meant; faster circles get shorter steps."""
 
 DENSITIES = {"densities": (2, 10, 100), "heavy on light": (10, 100), "light on heavy": (10,)}
-"""Ratios of two densities that the study has, mixed and in layers."""
+"""Ratios of two densities in the study's scenes, mixed and in layers."""
 
 LAYERED = 0.25
 """Difference of the mean heights of dense and light circles, in the height of all, from which they count as layers."""
 
 SPREAD = 2.5
-"""A dam that breaks is so many times as high as its circles would lie if they filled the width of the box."""
+"""Least height of a dam that breaks, over the height of its circles if they lay across the whole width of the box."""
 
 DENSE = 0.5
-"""Share of the rectangle around them that its circles cover at least."""
+"""Least share of the rectangle around it that the circles of a dam cover."""
 
 MEASURING = 600 * 500
-"""Measuring a trade of 600 steps (six seeds, a reference, half its step) takes the time of so many steps of a
-preset."""
+"""Time to measure a trade of 600 steps (six seeds, a reference, half its step), in steps of a preset."""
 
 
 class PresetWarning(UserWarning):
-    """What a preset cannot keep in a scene: it names the quantity, and what to do."""
+    """Warning that a preset cannot keep its tolerances in a scene: it names the quantity, and what to do."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recommendation:
-    """A solver and a start for the runs of a scene, what they cost, and what comes out. `print` tells all of it.
+    """A solver and a start for the runs of a scene, with their cost and errors. `print` shows all of it.
 
-    accuracy: the preset that it keeps. solver: options of `physics.solvers`, substeps included. warm_start: name of
-    the start. us: wall time of a step of the scene's Δt, μs, the mean over a run, on the processor `cpu`.
-    errors: name -> the largest over the kinds of scenes that this one is like, of the sizes next to its own.
-    tolerances: name -> that of the preset. reached: whether all errors are within them; if not, this is the setting
-    nearest to it. outside: sentences on what of the scene the study did not measure; empty where it lies within.
-    cheaper, better: what the presets next to it would be, and their cost; empty where there is none.
+    accuracy: name of the preset. solver: options of `physics.solvers`, substeps included. warm_start: name of the
+    start. us: wall time of a step of the scene's Δt, μs, the mean over a run, on the processor `cpu`.
+    errors: name of an error -> its largest value over the study's kinds of scenes like this one, at the sizes next to
+    its own. tolerances: name of an error -> tolerance of the preset. reached: whether all errors are within the
+    tolerances; if not, no setting keeps them, and this is the nearest. outside: sentences on properties of the scene
+    that the study did not measure; empty if there are none. cheaper, better: settings of the presets next to this one,
+    and their costs; empty if there is none.
     """
 
     accuracy: str
@@ -126,7 +127,7 @@ class Recommendation:
     better: str = ""
 
     def _rows(self) -> Iterator[tuple[str, str]]:
-        """A title, and what there is to say, by name."""
+        """(Name, text) of each line that `print` shows; the first line is the title."""
         yield self.accuracy, f"{describe(self.solver)} from {self.warm_start}"
         yield "cost", f"{self.us:,.0f} μs a step of {self.dt:g} s, {self.n_bodies:,} circles; {self.cpu}"
         if not self.reached:
@@ -153,7 +154,7 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
     """The cheapest setting that keeps the tolerances of a preset, or the most accurate one that a budget allows.
 
     accuracy: a name of `PRESETS`; by default "fast". budget_ms: wall time of a step of the scene's Δt, ms, on the
-    processor of the study. Raises ValueError where both are given, and on a bad one.
+    processor of the study. Raises ValueError if both are set, and on a bad value.
     """
     if accuracy is not None and budget_ms is not None:
         raise ValueError("recommend: expected one of accuracy, budget_ms, got both")
@@ -183,7 +184,7 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
 
 
 def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
-    """What a preset would be, and its cost over that of the best; "" without a preset."""
+    """A text on the setting of a preset, and its cost over that of the best setting; "" without a preset."""
     if not accuracy:
         return ""
     other = cheapest(candidates, PRESETS[accuracy])
@@ -193,10 +194,10 @@ def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
 
 
 class Decision(NamedTuple):
-    """What `simulate(accuracy=…)` takes for a scene.
+    """The choice of `simulate(accuracy=…)` for a scene.
 
-    us: time of a step of the scene's Δt on the study's processor, μs; an upper bound where it is solved to a tolerance.
-    stiff: what makes the scene too stiff for a few sweeps, or None. start: name of the start.
+    us: time of a step of the scene's Δt on the study's processor, μs; an upper bound if it is solved to a tolerance.
+    stiff: `Stiffness` of a scene that is too stiff for a few sweeps, or None. start: name of the start.
     """
 
     solver: object
@@ -207,10 +208,10 @@ class Decision(NamedTuple):
 
 
 def decide(scene: State, accuracy: str | MeasuredAccuracy | None, *, sleep: bool = False) -> Decision:
-    """What a preset takes for a scene; without a name, what "fast" takes. Raises ValueError on another name.
+    """The `Decision` of a preset for a scene; without a name, that of "fast". Raises ValueError on an unknown name.
 
-    sleep: only solvers that can put circles to sleep. That no setting of the study keeps a preset is a warning only
-    where it was asked for by name.
+    sleep: whether to choose only among solvers that support sleeping. If no setting of the study keeps the preset, the
+    decision has a warning, but only for a preset that was named.
     """
     if hasattr(accuracy, "decide"):
         return accuracy.decide(scene)
@@ -219,7 +220,7 @@ def decide(scene: State, accuracy: str | MeasuredAccuracy | None, *, sleep: bool
 
 
 def decided(numbers: SceneNumbers, stiff: Stiffness | None, accuracy: str | None, *, sleep: bool = False) -> Decision:
-    """`decide`, from the numbers of a scene and what makes it stiff."""
+    """`decide`, from the numbers and the stiffness of a scene."""
     name = one_of("accuracy", accuracy or "fast", PRESETS)
     best = _chosen(name, sleep, *_case(numbers, stiff))
     sentences = _too_long(numbers, best["dt"])
@@ -236,7 +237,7 @@ def decided(numbers: SceneNumbers, stiff: Stiffness | None, accuracy: str | None
 
 
 def _way_out(us: float) -> str:
-    """How to learn what the study does not know. us: of a step of a setting."""
+    """A sentence on how to measure what the study has not measured. us: time of a step of a setting, μs."""
     return f"dc.measure_trade(scene) measures it on this scene, in about {MEASURING * us / 1e6:,.0f} s for 600 steps"
 
 
@@ -254,61 +255,64 @@ def installed() -> dict:
 
 
 def longest_step(numbers: SceneNumbers, dt: float) -> float:
-    """The time step, s, that is to a scene what `dt` is to circles of r = 1 m under 9.81 m/s²."""
+    """The time step of a scene, s, that corresponds to `dt` for circles of r = 1 m under 9.81 m/s²."""
     speed = max(math.sqrt(numbers.gravity * numbers.radius), numbers.fastest / FASTEST)
     return math.inf if speed == 0 else dt * math.sqrt(-GRAVITY[1]) * numbers.radius / speed
 
 
 def parts_for(numbers: SceneNumbers, dt: float) -> int:
-    """The number of substeps in a scene's Δt: so many that a substep is at most `longest_step(numbers, dt)`, to 5 %.
+    """Number of substeps of a scene's Δt, with which a substep is at most `longest_step(numbers, dt)`, to 5 %.
 
-    A power of two, which scales impulses exactly; at most `MOST_SUBSTEPS`.
+    It is a power of two, which scales impulses exactly, and at most `MOST_SUBSTEPS`.
     """
     ratio = numbers.dt / longest_step(numbers, dt)
     return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
 
 
 def keeping(candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True) -> list[dict]:
-    """The candidates whose "errors" keep tolerances. With `margin`, those that keep them by `MARGIN`, if there are
-    any."""
+    """The candidates whose "errors" keep the tolerances.
+
+    margin: whether to return only candidates that keep the tolerances by `MARGIN`, if there are any.
+    """
     shares = (MARGIN, 1.0) if margin else (1.0,)
     kept = ([one for one in candidates if excess(one["errors"], tolerances) <= most] for most in shares)
     return next(filter(None, kept), [])
 
 
 def excess(errors: Mapping[str, float | None], tolerances: Mapping[str, float]) -> float:
-    """The largest of the errors that there is a tolerance of, in units of that."""
+    """The largest ratio of an error to its tolerance, of all errors that are known and have a tolerance."""
     known = ((errors.get(name), most) for name, most in tolerances.items())
     return max((value / most for value, most in known if value is not None), default=0.0)
 
 
 def cheapest(candidates: list[dict], tolerances: Mapping[str, float]) -> dict:
-    """The one of the least "us" that keeps tolerances; otherwise the one that comes nearest."""
+    """The candidate with the least "us" of those that keep the tolerances; without one, the nearest candidate."""
     if kept := keeping(candidates, tolerances):
         return min(kept, key=lambda one: one["us"])
     return min(candidates, key=lambda one: (excess(one["errors"], tolerances), one["us"]))
 
 
 def _case(numbers: SceneNumbers, stiff: Stiffness | None) -> tuple:
-    """What `_candidates` needs to know of a scene."""
+    """Arguments of `_candidates` for a scene."""
     substeps = {dt: parts_for(numbers, dt) for dt in _time_steps()}
     solver = stiff and stiff.solver(substeps[TIME_STEP])
     return numbers.count, tuple(kinds_of(numbers)), tuple(substeps.items()), solver
 
 
 def _time_steps() -> list[float]:
-    """Those of the study's settings, and the study's own."""
+    """Time steps of the study's settings, and that of the study's scenes, s, sorted."""
     return sorted({setting["dt"] for setting in installed()["settings"]} | {TIME_STEP})
 
 
 def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list[dict]:
     """Every setting as solver, start, cost (μs a step of the scene's Δt) and errors, for n circles of these kinds.
 
-    substeps: pairs of a time step of the study and how many a step of the scene is divided into for it.
-    Errors are the largest of the two sizes around the scene's and of the kinds that it is like; times are those of the
-    slowest of these kinds, interpolated between the sizes by powers.
-    stiff: the solver for a scene that a few sweeps cannot solve (`stiffness`), or None. It is the one setting then: its
-    cost is at most that of all its sweeps, each at the price of one of the study's cheapest, its errors are the best's.
+    substeps: pairs of a time step of the study and the number of substeps of the scene's step for it.
+    Errors are the largest over the two sizes around the scene's and over the kinds that it is like. Times are those of
+    the slowest of these kinds, interpolated between the sizes by a power law.
+    stiff: the solver for a scene that a few sweeps cannot solve (`stiffness`), or None. It is then the only candidate.
+    Its cost is an upper bound, that of all its sweeps at the least price of a sweep in the study; its errors are those
+    of the study's best setting.
     """
     candidates, parts = [], dict(substeps)
     kinds, low, high = _near(n, kinds)
@@ -336,9 +340,9 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list
 
 
 def _near(n: int, kinds: Sequence[str]) -> tuple[set[str], str, str]:
-    """Those of the kinds that the study has, or else all; and the sizes on either side of n at which it has them.
+    """(Kinds, smaller size, larger size): those of the kinds that the study has, or all kinds, and its sizes around n.
 
-    Beyond the sizes of a kind, such as drums, the nearest is on both sides.
+    Beyond the sizes of a kind, such as drums, both are the nearest size.
     """
     sizes_of = installed()["kinds"]
     wanted = sizes_of.keys() & kinds or set(sizes_of)
@@ -350,8 +354,8 @@ def _near(n: int, kinds: Sequence[str]) -> tuple[set[str], str, str]:
 def kinds_of(numbers: SceneNumbers) -> list[str]:
     """The kinds of scenes of the study (`studies.runs.KINDS`) that a scene is like, or lies between.
 
-    Segments, a dam and two densities ask for more than a pile does, and have settings that no pile was run with: they
-    stand for themselves.
+    Segments, a dam and two densities demand more than a pile does, and were run with settings that no pile was run
+    with. A scene with one of them therefore does not count as a pile.
     """
     if numbers.gravity == 0.0:
         return ["gas"]
@@ -359,7 +363,7 @@ def kinds_of(numbers: SceneNumbers) -> list[str]:
     walls += ["piston"] if numbers.moving else []
     kinds = [kind for kind in walls if kind in installed()["kinds"]]  # a small study has no walls
     kinds += _of_densities(numbers)
-    if not {"hopper", "piston"} & set(kinds) and _is_dam(numbers):  # what stands in these flows as well
+    if not {"hopper", "piston"} & set(kinds) and _is_dam(numbers):  # circles that stand in these flow as well
         kinds.append("dam break")
     is_pile = not kinds
     if numbers.friction < FRICTION:
@@ -386,7 +390,7 @@ def _of_densities(numbers: SceneNumbers) -> list[str]:
 
 
 def _is_dam(numbers: SceneNumbers) -> bool:
-    """Whether circles stand so much higher than they could lie that they will flow apart."""
+    """Whether circles stand so much higher than they could lie that they will flow apart: `SPREAD`, `DENSE`."""
     if numbers.count < 2:
         return False
     diameter = 2.0 * numbers.radius
@@ -396,7 +400,7 @@ def _is_dam(numbers: SceneNumbers) -> bool:
 
 
 def _us_at(n: int, times: Mapping[int, float]) -> float:
-    """Time at n circles, between the measured sizes and beyond them by the power of the last two."""
+    """Time at n circles, by a power law through the two nearest measured sizes."""
     sizes = sorted(times)
     if len(sizes) == 1:
         return times[sizes[0]] * n / sizes[0]
@@ -407,7 +411,7 @@ def _us_at(n: int, times: Mapping[int, float]) -> float:
 
 
 def outside(numbers: SceneNumbers, stiff: Stiffness | None) -> list[str]:
-    """Sentences on what of a scene lies outside the study; none where nothing does."""
+    """Sentences on properties of a scene that lie outside the study; an empty list if none do."""
     sizes, count, speed = installed()["sizes"], numbers.count, numbers.fastest
     fastest = FASTEST * math.sqrt(numbers.gravity * numbers.radius)
     measured = {kind: installed()["kinds"].get(kind, [math.inf]) for kind in kinds_of(numbers)}
@@ -428,7 +432,7 @@ def outside(numbers: SceneNumbers, stiff: Stiffness | None) -> list[str]:
 
 
 def _too_long(numbers: SceneNumbers, dt: float) -> list[str]:
-    """What to say where a preset's step needs more than `MOST_SUBSTEPS`. dt: of its setting in the study, s."""
+    """A sentence, in a list, if a step needs more than `MOST_SUBSTEPS` substeps. dt: of the setting in the study, s."""
     needed = numbers.dt / longest_step(numbers, dt)
     if needed <= MOST_SUBSTEPS * _NEARLY:
         return []

@@ -22,20 +22,20 @@ from deep_contact.state.equality import by_value
 from deep_contact.validation import brief
 
 LOADS = np.linspace(0.0, 6.0, 121)
-"""Where the distribution of λ_n / mean λ_n is kept."""
+"""Values of λ_n / mean λ_n at which its distribution is stored."""
 
 REST = 20
-"""The last so many observations are those at rest."""
+"""Number of last observations of a run that count as at rest."""
 
 SETTLED = 0.2
-"""Heights are settled where the reference's root mean square speed at rest is below this, √(g r); in a drum it is
-not."""
+"""Root mean square speed of the reference at rest, √(g r), below which heights count as settled; in a drum it is
+larger."""
 
 TOUCHING = 1e-3
 """Gap, in radii, below which two circles count as in contact: rigid ones that touch have a gap of 0."""
 
 LARGEST = 1e100
-"""Of the values of a quantity: their sums have to be numbers."""
+"""Largest value of a quantity: sums of values have to be finite."""
 
 ERRORS = {
     "energy": "kinetic-energy curve: Σ |⟨E_k⟩ − ⟨E_k⟩*| / Σ ⟨E_k⟩* over the whole run, %",
@@ -49,7 +49,7 @@ ERRORS = {
     "forces": "distribution of λ_n / mean λ_n at rest: Kolmogorov-Smirnov distance, %",
     "impact": "largest force on the box in an interval: difference, % of the reference's",
 }
-"""Name -> what it is, and its unit. All but the penetrations, which should be 0, are against the reference.
+"""Name of an error -> its definition and unit. All but the penetrations, which should be 0, are against the reference.
 
 Energy, height and force are those of the whole pile (the force from its momentum: M (g + dv / dt) with v against
 gravity, in weights; its mean at rest is 1, exactly). The distribution of forces is the classical fingerprint of a
@@ -60,21 +60,21 @@ granular packing (Radjai et al., Phys. Rev. Lett. 77, 1996); penetration and res
 
 @by_value
 class Observation(NamedTuple):
-    """What is looked at of one run, at T equally spaced times.
+    """Observations of one run, at T equally spaced times.
 
     | field       | meaning                                                                    | shape    | unit    |
     |-------------|----------------------------------------------------------------------------|----------|---------|
     | kinetic     | kinetic energy                                                             | (T,)     | M u²    |
     | height      | of the centre of mass above the lowest corner of the box, against gravity  | (T,)     | r       |
-    | speed       | root mean square over the circles                                          | (T,)     | u       |
+    | speed       | root mean square speed of the circles                                      | (T,)     | u       |
     | penetration | mean, 95th percentile and largest over the contacts                        | (T, 3)   | r       |
     | contacts    | pairs whose gap is below `TOUCHING`, per circle                            | (T,)     | –       |
-    | force       | mean force on the box along gravity since the time before; None without it | (T − 1,) | M g     |
+    | force       | mean force on the box along gravity from time to time; None without it     | (T − 1,) | M g     |
     | loads       | share of the λ_n > 0 at rest that are at most LOADS · mean; None if unknown | (121,)   | –       |
-    | interval    | between two times                                                          | ()       | r / u   |
+    | interval    | time between two observations                                              | ()       | r / u   |
     | quantities  | name -> values of a quantity of the user, or a sentence on why there are none | (T, …) | its own |
 
-    u = √(g r); without gravity a tenth of the fastest circle's speed at the first time, and there is no height: 0.
+    u = √(g r). Without gravity u is a tenth of the fastest circle's speed at the first time, and the height is 0.
     """
 
     kinetic: np.ndarray
@@ -98,10 +98,10 @@ def observation(stored: Mapping) -> Observation:
 def observe(
     states: Iterable[State], quantities: Mapping[str, Callable[[State], object]] = MappingProxyType({})
 ) -> Observation:
-    """What is looked at of a run: of its states, with contacts, at equally spaced times (a `Trajectory` has them).
+    """The `Observation` of a run from its states, with contacts, at equally spaced times, such as a `Trajectory`.
 
-    quantities: name -> function of a state, a number or an array. Impulses are those that unsolved states carry.
-    Raises ValueError with fewer than `REST` states, or where there is neither gravity nor motion.
+    quantities: name -> function of a state that returns a number or an array. Impulses are the carried ones.
+    Raises ValueError with fewer than `REST` states, and if there is neither gravity nor motion.
     """
     rows, momentum, loads, times, unit = [], [], [], [], None
     own: dict[str, list | str] = {name: [] for name in quantities}
@@ -137,7 +137,7 @@ def observe(
 
 
 def with_next(name: str, quantity: Callable, state: State, before: list | str) -> list | str:
-    """The values of a quantity and its next one, that of this state; or a sentence on what is wrong with it."""
+    """The values of a quantity before, and its value for this state; or a sentence on what is wrong with it."""
     if isinstance(before, str):
         return before
     where = f"quantities[{name!r}] at t = {state.time:.3g} s: expected"
@@ -153,11 +153,11 @@ def with_next(name: str, quantity: Callable, state: State, before: list | str) -
 
 
 def errors(found: Sequence[Observation], reference: Sequence[Observation]) -> dict[str, float | None]:
-    """The `ERRORS` of an ensemble against the reference's ensemble of the same scenes; None for one that is unknown.
+    """The `ERRORS` of an ensemble against the reference's ensemble of the same scenes; None for unknown errors.
 
-    A quantity q of the user has two errors, as shares of the reference's size. By its name: that of the mean curve,
-    Σ |⟨q⟩ − ⟨q⟩*| / Σ |⟨q⟩*|. By "q spread": the distance (Wasserstein) of two distributions over seeds, those of q's
-    mean over a run. Both are absolute where the reference is 0.
+    A quantity q of the user has two errors, as shares of the reference's size. "q" is the error of the mean curve,
+    Σ |⟨q⟩ − ⟨q⟩*| / Σ |⟨q⟩*|. "q spread" is the Wasserstein distance between the distributions of q's mean over a run,
+    over seeds. Both are absolute if the reference is 0.
 
     Without gravity nothing comes to rest: only the energy and the deepest penetration are known. A share of nothing,
     such as of the energy of circles that never move, is unknown too.
@@ -223,7 +223,7 @@ def intervals(
     def of_seeds(drawn):
         pairs = (([found[i] for i in row], [reference[i] for i in row]) for row in drawn)
         resampled = [errors(*pair) for pair in pairs]
-        # What the whole ensemble has, such as settled heights, a resampling may lack.
+        # A resampling may lack an error that the whole ensemble has, such as that of settled heights.
         return np.array([[values[n] if one[n] is None else one[n] for n in known] for one in resampled], float)
 
     three = interval(of_seeds, len(found), resamples=resamples).T.tolist()
@@ -242,8 +242,8 @@ def _means(runs: Sequence[Observation]) -> dict:
 def interval(statistic: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: int = 2000) -> np.ndarray:
     """[value, low, high], (3, …): a statistic of scenes and its bootstrap interval of 95 % by percentiles (Efron 1979).
 
-    statistic: numbers of the scenes that are drawn, (rows, count), one row a resampling -> (rows, …). count: of scenes.
-    One scene has no spread: its interval is the value.
+    statistic: function of the indices of drawn scenes, (rows, count), one row a resampling, that returns (rows, …).
+    count: number of scenes. One scene has no spread: its interval is the value.
     """
     value = statistic(np.arange(count)[None])[0]
     if count == 1:
@@ -256,9 +256,9 @@ def interval(statistic: Callable[[np.ndarray], np.ndarray], count: int, *, resam
 
 
 def with_reach(error: Sequence[float]) -> tuple[float, np.ndarray]:
-    """An error of `intervals`, and how far its interval reaches below and above it, (2, 1).
+    """An error of `intervals`, and the distances of the lower and the upper end of its interval, (2, 1).
 
-    A bootstrap interval by percentiles may not contain the value; then it reaches 0 to that side.
+    A bootstrap interval by percentiles may not contain the value; the distance of the end on that side is then 0.
     """
     value, low, high = error
     return value, np.maximum([[value - low], [high - value]], 0.0)

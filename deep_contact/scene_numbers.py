@@ -1,4 +1,4 @@
-"""What a scene is, in a few numbers, which are taken once: `presets`, `stiffness` and `trade` decide by them."""
+"""A scene in a few numbers, computed once, by which `presets`, `stiffness` and `trade` decide."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ class SceneNumbers(NamedTuple):
 
     | field         | meaning                                                                       | unit |
     |---------------|-------------------------------------------------------------------------------|------|
-    | count         | of circles                                                                    |      |
+    | count         | number of circles                                                             |      |
     | dt            | time step                                                                     | s    |
-    | gravity       | its magnitude                                                                 | m/s² |
+    | gravity       | magnitude of gravity                                                          | m/s² |
     | friction      | μ                                                                             |      |
     | restitution   | e                                                                             |      |
     | is_dragged    | whether a surface of a segment moves                                          |      |
     | still         | number of segments whose ends stay                                            |      |
     | moving        | number of segments whose ends move                                            |      |
-    | radius        | mean                                                                          | m    |
+    | radius        | mean radius                                                                   | m    |
     | radius_ratio  | largest over smallest radius                                                  |      |
     | lightest      | smallest mass                                                                 | kg   |
     | mass_ratio    | largest over smallest mass                                                    |      |
@@ -34,8 +34,8 @@ class SceneNumbers(NamedTuple):
     | layers        | mean height of dense circles less that of light ones, over the height of all  |      |
     | fastest       | speed of the fastest circle, end of a segment, or surface that drags circles  | m/s  |
     | squares       | sum of the squares of the radii                                               | m²   |
-    | height, width | of all centres, up and across                                                 | m    |
-    | box_width     | of the box, across gravity                                                    | m    |
+    | height, width | extent of all centres, up and across                                          | m    |
+    | box_width     | extent of the box across gravity                                              | m    |
     """
 
     count: int
@@ -60,9 +60,9 @@ class SceneNumbers(NamedTuple):
 
 
 def scene_numbers(state: State) -> SceneNumbers:
-    """The numbers of a scene, from one look at its circles.
+    """The numbers of a scene, from one pass over its circles.
 
-    Fixed circles are in `count`, `radius` and `fastest`, and in no other number.
+    Fixed circles count in `count`, `radius` and `fastest`, and in no other number.
     """
     world, bodies, free = state.world, state.bodies, state.bodies
     driven = [math.hypot(*velocity[end : end + 2]) for velocity in world.segment_velocities for end in (0, 2)]
@@ -85,7 +85,7 @@ def scene_numbers(state: State) -> SceneNumbers:
 
 @njit(cache=True, error_model="numpy")
 def _measured(position, velocity, mass, radius, up):
-    """From `radius_ratio` to `width` of `SceneNumbers`; ratios of no circles are 1. up: a unit vector, or zeros."""
+    """The fields `radius_ratio` to `width` of `SceneNumbers`; ratios are 1 without circles. up: a unit vector, or 0."""
     n = mass.shape[0]
     if n == 0:
         return 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0

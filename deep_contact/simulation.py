@@ -57,13 +57,13 @@ from deep_contact.validation import brief, expect, flag, integer, list_of, one_o
 from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
 
 MOST_WORK = 20_000_000
-"""Most work of a call of compiled code, in relaxations of a contact."""
+"""Largest work of one call of compiled code, in relaxations of a contact."""
 
 SECONDS = 0.2
-"""Time that such a call should take: between calls Ctrl-C is raised."""
+"""Time that one call should take, s: Ctrl-C takes effect between calls."""
 
 MOST_STEPS = 10**12
-"""Most steps of a run. Its result has 40 bytes a step, so that memory ends before."""
+"""Largest number of steps of a run. Its result has 40 bytes a step, so that memory ends before."""
 
 KEPT = 20_000
 """Most circles of a run whose memory is kept for the next call of `simulate`."""
@@ -80,19 +80,21 @@ class Simulation(NamedTuple):
     |-------------|-------------------------------------------------------------------------------------------|
     | state       | the `State` after the last step, ready to go on: its contacts have been found, not solved |
     | contacts    | number of contacts solved in each step, (steps,): all but those that are asleep           |
-    | sweeps      | number of velocity sweeps in each step, (steps,); of its slowest island, with islands     |
+    | sweeps      | number of velocity sweeps in each step, (steps,); with islands, of the slowest island     |
     | theta       | θ after the last sweep of each step, (steps,), N·s; infinite where no sweep was done      |
-    | relaxations | contacts times sweeps in each step, (steps,); with islands, summed over them              |
-    | substeps    | into how many each step was divided, (steps,)                                             |
-    | recorded    | the recorded states as a `Trajectory`, the last being `state`; None where none were asked |
-    | loads       | what walls and segments received until each recorded state, (T, 4 + S, 2), N·s, or None   |
-    | solved      | what `on_step` sees of the steps that led to a recorded state, a `Trajectory`, or None    |
-    | on_circles  | what contacts gave to the circles until each recorded state, (T, n, 2), N·s; where a      |
-    |             | segment moves, a circle is fixed, or something pushes; None elsewhere                     |
-    | shifts      | what gravity gave to the circles beside m g t until each, (T, n, 2), N·s; where e > 0,    |
-    |             | motion divides the step and `on_circles` is None; None elsewhere                          |
+    | relaxations | contacts times sweeps in each step, (steps,); with islands, summed over the islands       |
+    | substeps    | number of substeps of each step, (steps,)                                                 |
+    | recorded    | the recorded states as a `Trajectory`, which ends with `state`; None without record=…     |
+    | loads       | sum of the impulses on walls and segments until each recorded state, (T, 4 + S, 2), N·s;  |
+    |             | None without forces=True                                                                  |
+    | solved      | the solved states, as of `on_step`, of the steps that led to recorded states, as a        |
+    |             | `Trajectory`; None without forces=True                                                    |
+    | on_circles  | sum of the contact impulses on circles until each recorded state, (T, n, 2), N·s; None    |
+    |             | without moving segments, fixed circles and pushes                                         |
+    | shifts      | momentum of circles from gravity beyond m g t until each recorded state, (T, n, 2), N·s;  |
+    |             | None if e = 0, or if there are `on_circles`                                               |
 
-    With substeps, contacts and θ are those of a step's last substep, sweeps and relaxations sums over all of them.
+    With substeps, contacts and θ are those of a step's last substep, sweeps and relaxations sums over its substeps.
     """
 
     state: StateWithContacts
@@ -109,20 +111,21 @@ class Simulation(NamedTuple):
 
     @property
     def trajectory(self) -> Trajectory:
-        """The recorded states. Raises ValueError where none were asked for."""
+        """The recorded states. Raises ValueError if none were recorded."""
         if self.recorded is None:
             raise ValueError("trajectory: expected a run of simulate(…, record=…), got one that recorded no states")
         return self.recorded
 
     def force_on(self, part: str, index: int | Sequence[int] | np.ndarray | None = None) -> np.ndarray:
-        """The mean force of contacts between each recorded state and the next, (T − 1, 2), N.
+        """The mean contact force on a part of the scene between each recorded state and the next, (T − 1, 2), N.
 
         Force k is the mean from times[k] to times[k + 1] of the trajectory, over all steps and substeps, rebounds
-        included. part: "floor", "right", "ceiling", "left", "segment", "circle", or "wall": the four sides, numbered in
-        this order. index: of the segment, the circle or the wall; of several, whose forces are added up; None for a
-        side that `part` names. The force on a circle is what changed its momentum, but for gravity and pushes.
-        Raises ValueError where no states were recorded, without forces=True for walls and segments, and for a part or
-        an index that there is not.
+        included. The force on a circle is its change of momentum over time, without those by gravity and pushes.
+
+        part: "floor", "right", "ceiling", "left", "segment", "circle", or "wall", which stands for the four sides,
+        numbered in this order. index: of the segment, the circle or the wall, or several, whose forces are added up;
+        None if `part` names a side. Raises ValueError if no states were recorded, for walls and segments without
+        forces=True, and on an unknown part or index.
         """
         recorded, world = self.trajectory, self.state.world
         if part in SIDES:
@@ -154,7 +157,7 @@ class Simulation(NamedTuple):
         return f"Simulation({', '.join(self._summary().values())}, state={self.state!r})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: how the run went, and its last state."""
+        """HTML for notebooks: a summary of the run, and its last state."""
         return notebook.shown("Simulation", self._summary().items()) + self.state._repr_html_()
 
     def _summary(self) -> dict[str, str]:
@@ -164,7 +167,7 @@ class Simulation(NamedTuple):
             summary["sweeps"] = f"{self.sweeps.mean():.1f} sweeps a step"
             if self.substeps.max() > 1:
                 summary["substeps"] = f"{self.substeps.mean():.1f} substeps a step"
-            if tolerance_argument(self.state.solver) > 0:  # otherwise every step takes its number of sweeps, as meant
+            if tolerance_argument(self.state.solver) > 0:  # without a tolerance every step does all sweeps
                 summary["solves"] = f"converged in {np.isin(ends, ('converged', 'no_contacts')).sum():,} steps"
             if (ends == "diverged").any():
                 summary["diverged"] = f"{(ends == 'diverged').sum():,} diverged"
@@ -173,26 +176,26 @@ class Simulation(NamedTuple):
 
 @suggesting
 class Simulator:
-    """A scene that lives: it does steps, keeps what the engine remembers of them, and can be changed between them.
+    """A live scene: it does steps, keeps the engine's memory from step to step, and can be changed between steps.
 
-    Arguments as of `simulate`. Where a preset chose the solver, as by default, it chooses again when the scene is
-    changed. Steps one by one, in several calls and in one call are the same, bit for bit. After Ctrl-C or an
-    error it stands at a whole step, and can go on. It pickles by its state.
+    The arguments are those of `simulate`. If a preset chose the solver, as by default, it chooses again when the scene
+    changes. Steps give the same bits one by one, in several calls and in one call. After Ctrl-C or an error the
+    simulator stands at a whole step, and can go on. Pickles hold its state.
 
     | property   | meaning                                                   | shape  | unit |
     |------------|-----------------------------------------------------------|--------|------|
-    | positions  | of the centres; a view, which every step changes          | (n, 2) | m    |
-    | velocities | of the centres, likewise                                  | (n, 2) | m/s  |
-    | time       |                                                           |        | s    |
-    | state      | a `State` of its own arrays, made when it is asked for    |        |      |
+    | positions  | centres of the circles; a view, which every step changes  | (n, 2) | m    |
+    | velocities | velocities of the centres; a view as well                 | (n, 2) | m/s  |
+    | time       | time of the scene                                         |        | s    |
+    | state      | a `State` with copies of the arrays, made at each access  |        |      |
 
-    Nobody can write into the views: `set`, `add` and `remove` change the scene. To put circles elsewhere, change
-    `state`, `dc.Simulator(live.state.replace(bodies=…, contacts=None))`.
+    The views are read-only; `set`, `add` and `remove` change the scene. To put circles elsewhere, make a new simulator
+    of a changed state: `dc.Simulator(live.state.replace(bodies=…, contacts=None))`.
 
-    Raises ValueError on arguments that do not hold together.
+    Raises ValueError on arguments that do not fit each other.
     """
 
-    _has_warned = False  # of segments that jump
+    _has_warned = False  # of a segment that jumps
     _has_warned_of_passing = False
 
     def __init__(
@@ -211,7 +214,7 @@ class Simulator:
         self._go_on(*_prepared(state, self._options))
 
     def step(self, steps: int = 1) -> None:
-        """Do so many steps. Raises FloatingPointError where the solver diverges beyond all numbers."""
+        """Do `steps` steps. Raises FloatingPointError if the solver diverges to positions that are not finite."""
         done, steps = 0, integer("steps", steps, hint="; seconds are steps of Δt, which set(dt=…) changes")
         while done < steps:
             count = min(steps - done, self._affordable())
@@ -221,7 +224,7 @@ class Simulator:
                 done += self._advance(self._rows(make_log(count), 0, count))
 
     def show(self, steps: int = 0, *, every: int = 10) -> None:
-        """Draw the state in a notebook, do so many steps, and draw it anew in its place after each `every` of them.
+        """Draw the state in a notebook, do `steps` steps, and redraw the state in its place after each `every` steps.
 
         Raises ValueError outside of a notebook, and FloatingPointError as `step` does.
         """
@@ -257,11 +260,13 @@ class Simulator:
         self, *, gravity=None, friction=None, restitution=None, dt=None, segments=None, segment_velocities=None,
         push=None,
     ) -> None:  # fmt: skip
-        """Change the world, the time step, s, or the push from here on; what is None stays. Who sleeps wakes.
+        """Change the world, the time step or the push from now on. Values of None change nothing. All circles wake.
 
-        Contacts keep their impulses, with segments by their numbers. A segment that is put elsewhere jumps, and a
-        warning says so once; segment_velocities move it. push: as of `simulate`; forces of 0 end it. Raises ValueError,
-        and changes nothing, on values that `World` refuses.
+        Contacts keep their impulses; those with segments are matched by the segments' indices. A segment with a new
+        position jumps there, and a warning says so once; segment_velocities move it instead.
+
+        dt: time step, s. push: as of `simulate`; forces of 0 end it. Raises ValueError, and changes nothing, on values
+        that `World` refuses.
         """
         fields = {"gravity": gravity, "friction": friction, "restitution": restitution, "segments": segments}
         if dt is None and push is None and not any(value is not None for value in fields.values()):
@@ -269,7 +274,7 @@ class Simulator:
                 return
         fields |= {"segment_velocities": segment_velocities}
         fields, state = {name: value for name, value in fields.items() if value is not None}, self.state
-        if segments is not None:  # velocities and surfaces of other segments do not fit these
+        if segments is not None:  # velocities and surface speeds may be those of another number of segments
             for name in ("segment_velocities", "surface_speeds"):
                 kept = getattr(state.world, name)
                 fields.setdefault(name, kept if len(kept) == len(segments) else ())
@@ -280,15 +285,15 @@ class Simulator:
                     self._has_warned = warn_of_jumps(state.world, world)
                 stays = contacts.body_b < state.bodies.count + 4 + len(world.segments)
                 contacts = Contacts(*(values[stays] for values in contacts))
-            # A preset decides anew: it may divide the step by the speed of a wall.
+            # A preset decides anew, since the speed of a segment may make it divide the step.
             state = replace(state, world=world, contacts=contacts, preset=None)
         self._change(state if dt is None else with_time_step(state, dt), push)
 
     def _set_velocities(self, segment_velocities) -> bool:
-        """Set the velocities of the segments in place, which takes less time than `_change`.
+        """Set the velocities of the segments in place, which takes less time than `_change`, if that is possible.
 
-        It can be done where the same segments move as before. With a preset, none may be faster than when the preset
-        chose the solver. Returns whether it was done.
+        It is possible if the same segments move as before. With a preset, no segment may be faster than when the preset
+        chose the solver. Returns whether the velocities were set.
         """
         drive, world = self._inputs.drive, self._scene.world
         most = LIMITS["world.segment_velocities"][1]
@@ -307,18 +312,18 @@ class Simulator:
         return True
 
     def add(self, bodies: Bodies) -> np.ndarray:
-        """Add circles after the others (`State.with_bodies`). Who sleeps wakes. Returns their indices.
+        """Add circles behind the others (`State.with_bodies`). All circles wake. Returns indices of the new circles.
 
-        Forces of a push that is no function are 0 on them.
+        A constant push has forces of 0 on the new circles.
         """
         first = self._scene.bodies.count
         self._change(self.state.with_bodies(add=bodies))
         return np.arange(first, self._scene.bodies.count)
 
     def remove(self, which: Sequence | np.ndarray) -> np.ndarray:
-        """Take circles away, by their indices or by a flag for each (`State.with_bodies`). Who sleeps wakes.
+        """Remove circles, by their indices or by a flag for each (`State.with_bodies`). All circles wake.
 
-        Returns the new index of each circle that there was, (n,); −1 for those that are gone.
+        Returns the new index of each circle of before, (n,); −1 for removed circles.
         """
         n = self._scene.bodies.count
         gone, index = checked_indices("remove", which, n), np.full(n, -1)
@@ -333,7 +338,7 @@ class Simulator:
         return f"Simulator({self.state!r})"
 
     def _change(self, state: State, push=None) -> None:
-        """Go on from another state. push: a new one; None for the state's, or the function that there is."""
+        """Go on from another state. push: the new push; None keeps a function, and otherwise takes the state's push."""
         if push is None:
             push = self._options.push if callable(self._options.push) else state.push
         options = self._options._replace(push=push)
@@ -353,11 +358,12 @@ class Simulator:
         kind = solver, sleep, isinstance(start, NoStart)
         if self._steps is None or kind != self._kind or not np.array_equal(bodies.radius, self._scene.bodies.radius):
             self._steps = Steps(solver, n, sleep=sleep, carry=not isinstance(start, NoStart))
-            # Before the arrays of results, so that their release leaves no gap on top of the heap, which Linux takes.
+            # Allocated before the arrays of results, which lie above: its release leaves no gap at the top of the heap,
+            # which Linux would take.
             self._steps.memory(inputs, contacts.count)
         self._steps.wake()
         self._kind, self._start, self._scene, self._scales, self._inputs = kind, start, scene, scales, inputs
-        # Where nothing rubs, tangent rows go once no contact starts from a tangent impulse.
+        # Without friction, tangent rows are left out once no contact starts from a tangent impulse.
         self._may_lose_tangents = scene.world.friction == 0.0 and entry_of(solver).advance is None
         self._is_one_solve = replace(scene, solved=True).holds_solution
         self._asks_between = callable(self._options.push) or not isinstance(start, (Builtin, NoStart))
@@ -368,7 +374,7 @@ class Simulator:
         self._push = scene.push
         drive = self._inputs.drive
         self._fastest_wall = 0.0 if drive is None else np.abs(drive.wall).max(initial=0.0)
-        self._moved = tuple(bodies[:4])  # what a step changes
+        self._moved = tuple(bodies[:4])  # arrays that a step changes
         self._never_change = tuple(map(frozen, bodies[4:]))
         if scene.world.segment_velocities:
             self._moved += (self._inputs.segments.line,)
@@ -378,27 +384,27 @@ class Simulator:
         self._views = tuple(array.view() for array in bodies[:2])
         for view in self._views:
             view.flags.writeable = False
-        self._seen: tuple = ()  # what `on_step` sees of the last step that was watched
+        self._seen: tuple = ()  # arguments of `on_step` for the last watched step
 
     def _affordable(self) -> int:
-        """So many steps may be done by a call: one where the start needs Python between two steps."""
+        """The number of steps that a call may do: 1 if the start or the push needs Python between two steps."""
         if self._asks_between:
             return 1
         return 1 + self._work // (10 * self._scene.bodies.count + 50)
 
     def _rows(self, log: StepLog, first: int, count: int, is_watched: bool = False) -> StepLog:
-        """The rows of a log from `first` on for a call."""
+        """`count` rows of a log from `first` on, as the log of a call."""
         return some_steps(log, first, count, self._work, is_watched and not self._is_one_solve)
 
     def _one_step(self) -> StepLog:
-        """A log of one step, whose arrays the next one uses again."""
+        """A log of one step, whose arrays the next step uses again."""
         log = self._log
         log.sweeps[0] = log.relaxations[0] = log.parts[0] = log.progress[DONE] = 0
         log.progress[WORK] = self._work
         return log
 
     def _state(self, taken) -> StateWithContacts:
-        """The state now, with arrays of which `taken` makes what the caller gets."""
+        """The present state. taken: the function that copies or views each array of the bodies for the caller."""
         contacts, step, time, solved = self._now
         bodies, contacts = Bodies(*map(taken, self._scene.bodies)), Contacts(*map(np.ndarray.copy, contacts))
         push = None if callable(self._options.push) else self._scene.push
@@ -407,12 +413,12 @@ class Simulator:
         return changed(state, load=load_of(state))
 
     def _world(self) -> World:
-        """The world with its segments where they are now."""
+        """The world with its segments at their present positions."""
         world = self._scene.world
         return replace(world, segments=self._inputs.segments.line[:, :4]) if world.segment_velocities else world
 
     def _advance(self, log: StepLog, is_watched: bool = False) -> int:
-        """Do up to as many steps as the log has rows, or none: after an error all is as before. Returns how many."""
+        """Do at most as many steps as the log has rows; after an error no step is done. Returns their number."""
         before = self._now
         for kept, array in zip(self._kept, self._moved):
             kept[...] = array
@@ -425,7 +431,7 @@ class Simulator:
                     np.copyto(array, kept)
                 names = "normal_impulse", "tangent_impulse"
                 contacts = before.contacts._replace(**dict(zip(names, impulses)))
-                # Elsewhere than where the steps that were lost have been.
+                # In other arrays than those that the lost steps have written.
                 self._now = before._replace(contacts=Contacts(*map(np.copy, contacts)))
             raise
 
@@ -475,7 +481,7 @@ class Simulator:
         return done
 
     def _start_from_python(self, contacts: Contacts) -> tuple[Contacts, StepProblem | None]:
-        """The contacts with what Python starts them from, and their problem, if it was built. Sets the push as well."""
+        """The contacts with the impulses of a start in Python, and their problem, if built. Also updates the push."""
         push, solver, problem = self._options.push, self._scene.solver, None
         if callable(push):
             self._push = force, torque = checked_push(push(read_only(self.state)), self._scene.bodies.count)
@@ -490,7 +496,7 @@ class Simulator:
 
 
 class _Now(NamedTuple):
-    """Where a `Simulator` stands: one value, so that an interrupt finds it before a step or after it."""
+    """Moment of a `Simulator`, in one value, so that an interrupt finds it before a step or after it."""
 
     contacts: Contacts
     step: int
@@ -515,7 +521,7 @@ def _raise_diverged(bodies: Bodies, step: int) -> None:
 
 
 def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, WarmStart]:
-    """What a run begins with: the state, ready, with its solver and the impulses it starts from, and the start."""
+    """(State, start) at the start of a run: the state is validated, with its solver and the impulses it starts from."""
     first, state = state, ready(state)
     accuracy, push = options.accuracy, options.push
     constant = None if push is None or callable(push) else checked_push(push, state.bodies.count)
@@ -526,7 +532,7 @@ def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, War
     solver, start, _, decision = method_of(chosen_for, *how, sleep=options.sleep)
     for sentence in decision.warnings if decision else ():
         warn(sentence, PresetWarning)
-    # Not of a run that goes on, so that it comes to the same in one go and in parts.
+    # Not for a run that goes on, so that a run has the same result in one call and in several.
     if decision and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
         state = with_a_past(state)
     elif has_new_load(state):
@@ -545,7 +551,7 @@ def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndar
 
     solver: options such as `PGS(sweeps=…)`; by default the state's own. start: as `warm_start` of `simulate`, or
     two arrays (normal, tangent), (m,) each, N·s.
-    Raises ValueError on a state, solver or start that does not hold together.
+    Raises ValueError on a state, solver or start that is not valid.
     """
     state = ready(state)
     solver = checked_solver(solver, state)
@@ -557,7 +563,7 @@ def step(state: State, *, solver=None, warm_start: Start = "builtin") -> StateWi
     """One step: the state Δt later, with its contacts found and the solved impulses carried over to them.
 
     For the impulses that the step solved, see `simulate`'s `on_step`. Arguments and errors as in `simulate`. A
-    `Simulator` does many steps in less time than a loop of this.
+    `Simulator` does many steps in less time than a loop over this function.
     """
     return simulate(state, steps=1, solver=solver, warm_start=warm_start).state
 
@@ -578,35 +584,37 @@ def simulate(
     until: Callable[[StateWithContacts], object] | None = None,
     on_step: Callable[[StateWithContacts, ConvergenceRecord], None] | None = None,
 ) -> Simulation:
-    """Run a scene, or go on from a state, for so many steps.
+    """Run a scene for a number of steps, or go on from a state.
 
-    dt: time step, s; if it is not the state's, carried impulses are scaled by the ratio.
-    solver: options such as `PGS(sweeps=…)`; by default the state's own, or what accuracy="fast" takes.
-    warm_start: None, the name of a start, a callable of `deep_contact.warm_start`, which is asked once a step, or a
-    network, as `dc.load_model` gives it or by the path of its file, "….h5".
-    accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest that
-    were measured to keep the tolerances of that preset (`presets.PRESETS`) on the errors of a run; or what
-    `measure_trade` measured on your scene. Where the scene's circles are too small or too fast for its Δt, the step is
-    divided into substeps. At step 0 contacts that carry no impulses, as of positions from elsewhere, get those at which
-    they rest, where there are any (`physics.relaxation`), or are solved well.
-    sleep: an island that has been still for `State.scales.sleep_time` (0.5 s for circles of r = 1 m) is left as it is,
-    as in Box2D 2.3. It wakes when something touches it or the push on it changes (`physics.sleeping`). Who sleeps is
-    known within the run only: one that goes on from its state starts awake.
+    dt: time step, s, by default the state's; carried impulses are scaled by the ratio of the two.
+    solver: options such as `PGS(sweeps=…)`; by default the state's solver, or the one of accuracy="fast".
+    warm_start: None, the name of a start, a callable as in `deep_contact.warm_start`, which is called once a step, or a
+    network: one that `dc.load_model` returns, or the path of its file, "….h5".
+    accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest
+    setting that was measured to keep the tolerances of this preset (`presets.PRESETS`) on the errors of a run; or a
+    `Trade` that `measure_trade` measured on your scene. If the scene's circles are too small or too fast for its Δt,
+    the step is divided into substeps. At step 0, contacts without impulses, as of positions from another source, get
+    impulses at which they rest, if there are any (`physics.relaxation`), or accurately solved ones.
+    sleep: whether an island falls asleep once it has been still for `State.scales.sleep_time` (0.5 s for circles of
+    r = 1 m), as in Box2D 2.3. It wakes when something touches it or the push on it changes (`physics.sleeping`). States
+    do not store which circles sleep: a run that goes on from a state starts with all circles awake.
     push: forces on the circles beside gravity, (n, 2), N, or a tuple of forces and torques, (n,), N·m; or a function of
-    the state that returns them, which is asked before each step. Fixed circles feel none.
-    record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
-    forces: add up what walls and segments receive between the states that `record` keeps, for `Simulation.force_on`,
-    and keep what `on_step` sees of the step that led to each, as `Simulation.solved`.
-    until: called after each step with the state that it led to; the run ends where this is true.
-    on_step: called after each step with the solved state and the `ConvergenceRecord` of its sweeps; of a divided step
-    the record is that of the last substep. The state has the bodies before the step, and the contacts of the step.
-    `normal_start` and `tangent_start` are what the contacts started from, `normal_impulse` and `tangent_impulse` all
-    that they gave in the step, in its substeps and rebounds. So the changes of momentum are the sums of these impulses,
-    those of gravity and pushes, and where e > 0 the record's `shifts`. Contacts that came during the step are among
-    them, where they came, and started from 0. To go on from such a state, with the same push, repeats the step.
-    Arrays that `until` and `on_step` get cannot be written into: `Simulator` changes what goes on.
-    Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
-    all numbers; the run can be interrupted.
+    the state that returns them, which is called before each step. They do not act on fixed circles.
+    record: number of steps between two recorded states; the first and the last state are recorded too, and
+    `Simulation.trajectory` has them all.
+    forces: whether to add up the impulses on walls and segments between recorded states, for `Simulation.force_on`, and
+    to keep the solved state of the step that led to each recorded state, as `Simulation.solved`.
+    until: function that is called after each step with the state after it; the run ends when it returns a true value.
+    on_step: function that is called after each step with the solved state and the `ConvergenceRecord` of its sweeps,
+    which for a divided step is that of the last substep. The solved state has the bodies before the step, and the
+    contacts of the step: `normal_start` and `tangent_start` are the impulses from which they started, `normal_impulse`
+    and `tangent_impulse` their impulses in the step, summed over substeps and rebounds. Contacts that came during the
+    step are among them, at the places where they came, and with starts of 0. The change of a circle's momentum is the
+    sum of these impulses, of those of gravity and pushes, and if e > 0 of the record's `shifts`. A run that goes on
+    from such a state, with the same push, repeats the step. The arrays that `until` and `on_step` get are read-only;
+    use a `Simulator` to change a run between steps.
+    Raises ValueError on arguments that do not fit each other, and FloatingPointError if the solver diverges to
+    positions that are not finite. The run can be interrupted.
     """
     options = RunOptions(
         steps=steps, dt=dt, solver=solver, warm_start=warm_start, accuracy=accuracy, sleep=sleep, push=push,
@@ -629,7 +637,7 @@ class RunOptions(NamedTuple):
     forces: bool = False
     until: Callable | None = None
     on_step: Callable | None = None
-    is_anew: bool = False  # of a `Simulator` that was given no solver: one is chosen again when its scene is changed
+    is_anew: bool = False  # whether a `Simulator`, which got no solver, chooses again when its scene changes
 
     @property
     def how(self) -> tuple:
@@ -664,7 +672,7 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
         left = min(steps - done, every - done % every)
         most = 1 if on_step is not None or until is not None else run._affordable()
         if forces and left > 1:
-            most = min(most, left - 1)  # so that the step that leads to a recorded state is a call of its own
+            most = min(most, left - 1)  # the step that leads to a recorded state has to be a call of its own
         is_watched = on_step is not None or (forces and (left == 1 or until is not None))
         done += run._advance(run._rows(log, done, min(left, most), is_watched), is_watched)
         if on_step is not None:
@@ -726,7 +734,7 @@ _last_run = _LastRun()
 
 
 def _same_bits(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two arrays of a shape hold the same. Of small ones comparing bytes takes a tenth of the time."""
+    """Whether two arrays of one shape are equal. For small arrays, comparing bytes takes a tenth of the time."""
     return one.tobytes() == other.tobytes() if one.size < 4096 else np.array_equal(one, other)
 
 
@@ -745,13 +753,15 @@ def simulate_many(
     threads: int | None = None,
     jobs: int | Executor | None = None,
 ) -> list[Simulation]:
-    """Run many scenes, each on its own, on all cores: for each what `simulate` returns, in their order, bit for bit.
+    """Run many scenes, each on its own, on all cores. Returns what `simulate` returns for each, in order, bit for bit.
 
-    The compiled steps of one scene leave the interpreter to the others. threads: at most so many; by default one a
-    core. jobs: in place of threads, a number of processes, or an executor, such as that of a cluster.
-    warm_start: "builtin", None or "none", which need nothing from Python between two steps. The other arguments are
-    those of `simulate`.
-    Raises ValueError and FloatingPointError as `simulate` does, with the number of the state.
+    Compiled steps release the interpreter's lock, so that threads run side by side.
+
+    threads: largest number of threads, by default one for each core. jobs: number of processes in place of threads, or
+    an executor, such as that of a cluster. warm_start: "builtin", None or "none", which need no Python between steps.
+
+    The other arguments are those of `simulate`. Raises ValueError and FloatingPointError as `simulate` does, with the
+    number of the state.
     """
     expect(threads is None or jobs is None, f"threads: expected none beside jobs, got {threads!r}")
     threads = cores() if threads is None else integer("threads", threads, least=1)
@@ -763,7 +773,7 @@ def simulate_many(
         forces=forces,
     )  # fmt: skip
     if jobs is not None:
-        # Several a task: a scheduler takes as long for a task as a small scene does.
+        # Several scenes a task: a scheduler takes as long for a task as a small scene takes.
         numbered, size = list(enumerate(states)), max(1, len(states) // (TASKS * max(1, workers(jobs))))
         tasks = [numbered[first : first + size] for first in range(0, len(states), size)]
         return [run for runs in parallel_map(partial(_some_of_many, options), tasks, jobs=jobs) for run in runs]
@@ -799,18 +809,19 @@ def _one_of_many(
 
 
 class Method(NamedTuple):
-    """How a run solves: what `simulate` takes, and `plan` prints."""
+    """Solver and start of a run, which `simulate` uses and `plan` prints."""
 
-    solver: object  # with numbers in place of what follows the scene
+    solver: object  # with numbers in place of values that follow the scene
     start: WarmStart
     start_name: str
     decision: Decision | None  # of the preset that chose the solver; None where the caller did
 
 
 def method_of(state: State, solver=None, start="builtin", accuracy=None, *, sleep=False) -> Method:
-    """The method of a run from this state: that of a preset, or of the solver, or of the state's.
+    """The method of a run from this state: that of `accuracy`, of `solver`, or of the state's solver.
 
-    Without any of these the solver is that of the preset "fast". Raises ValueError where they do not fit each other.
+    Without any of these the solver is that of the preset "fast". Raises ValueError if the arguments do not fit each
+    other.
     """
     if accuracy is not None and solver is not None:
         raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
@@ -827,16 +838,17 @@ def method_of(state: State, solver=None, start="builtin", accuracy=None, *, slee
 
 
 def _keeps_solver(state: State, accuracy) -> bool:
-    """Whether a run under this preset has come to this state. It keeps its solver.
+    """Whether the state comes from a run under this preset. The run then keeps its solver.
 
-    Another moment of a run can be another scene for a preset: its fastest circle is slower, its dam has broken.
+    Without this rule a preset could choose another solver at a later moment, when the fastest circle is slower, or a
+    dam has broken.
     """
     came = state.step > 0 and state.solver is not None and state.load in (None, load_of(state))
     return came and isinstance(accuracy, str) and accuracy == state.preset
 
 
 def checked_solver(solver, state: State):
-    """The solver, or the state's, or PGS, for this state. Raises ValueError where it does not fit the state."""
+    """`solver`, or the state's solver, or PGS, with numbers for this state. Raises ValueError on an unknown solver."""
     solver = next(one for one in (solver, state.solver, PGS()) if one is not None)
     entry_of(solver)
     return solver.for_state(state)

@@ -1,10 +1,10 @@
-"""Scenes that a few sweeps cannot solve: what makes them so, and the solver that is taken for them.
+"""Scenes that a few sweeps cannot solve: what makes them stiff, and the solver for them.
 
 A sweep carries information one contact further, so in a column Projected Gauss-Seidel needs sweeps in proportion to
-height times load: such scenes, and ratios of masses beyond those of the study, get conjugate gradients to a tolerance
-that the lightest circle can feel, in substeps, which a ratio of 1e8 needs (Figure 6.6). A high pyramid creeps apart at
-one step of 10 ms however well it is solved, since the next solve does not expect what position correction moves: it
-gets substeps of eight sweeps.
+height times load. Such scenes, and scenes with ratios of masses beyond those of the study, get conjugate gradients to a
+tolerance that is small for the lightest circle, in substeps, which a ratio of 1e8 needs (Figure 6.6). A high pyramid
+creeps apart at one step of 10 ms however well it is solved, since the next solve does not account for the displacements
+of position correction. It gets substeps of eight sweeps.
 """
 
 from __future__ import annotations
@@ -25,41 +25,41 @@ MASS_RATIO = 100.0
 """Largest ratio of masses that is left to the study's settings."""
 
 LOAD = 250.0
-"""Largest height of a column, in circles, times its load (`_load`) that is left to them."""
+"""Largest product of a column's height, in circles, and its load (`_load`) that is left to the study's settings."""
 
 SLENDER = 8.0
-"""A column is at least so many times as high as it is wide."""
+"""Least ratio of height to width of a column that is not narrow."""
 
 NARROW = 2.0
-"""Or it is narrower than so many circles."""
+"""Width of a narrow column, in circles."""
 
 HEAP = 50.0
-"""A heap is higher than so many circles."""
+"""Height of the lowest heap, in circles."""
 
 FILLED = 0.75
-"""Share of the rectangle around it that a heap fills at most; a pyramid fills half."""
+"""Largest share of the rectangle around it that a heap fills; a pyramid fills half."""
 
 TOUCHING = 1.5
-"""Contacts a circle that a heap has at least: it lies, and does not fall."""
+"""Least number of contacts a circle in a heap: a heap lies, and does not fall."""
 
 HEAP_ROWS = 12.0
-"""Circles on one another for each substep of eight sweeps."""
+"""Height of a heap, in circles, for each of its substeps of eight sweeps."""
 
 SWEEPS = 5000
-"""Most sweeps of a substep of what is solved to a tolerance."""
+"""Largest number of sweeps in a substep that is solved to a tolerance."""
 
 SUBSTEPS = 4
-"""Least substeps of a step of what is solved to a tolerance."""
+"""Least number of substeps of a step that is solved to a tolerance."""
 
 SHARE = 1e-6
-"""The tolerance of such a solve, as a share of m g Δt of the lightest circle, Δt being that of the substep."""
+"""The tolerance of such a solve, over m g Δt of the lightest circle, where Δt is that of the substep."""
 
 
 class Stiffness(NamedTuple):
-    """What makes a scene too stiff for a few sweeps, in words, and the numbers that its solver follows from.
+    """The reason why a scene is too stiff for a few sweeps, and the numbers from which its solver follows.
 
-    carried: impulse that carries the lightest circle for Δt, N·s; None for a heap, which is not solved to a tolerance.
-    heap: how many times as many substeps a heap gets as it would otherwise.
+    why: the reason, in words. carried: impulse that carries the lightest circle for Δt, N·s; None for a heap, which is
+    not solved to a tolerance. heap: factor on the number of substeps of a heap.
     """
 
     why: str
@@ -67,7 +67,7 @@ class Stiffness(NamedTuple):
     heap: int = 1
 
     def solver(self, substeps: int = 1) -> PGS:
-        """The solver for the scene. substeps: that its Δt needs (`presets.parts_for`)."""
+        """The solver for the scene. substeps: number of substeps that its Δt needs (`presets.parts_for`)."""
         if self.carried is None:
             return PGS(sweeps=8, tolerance=None, substeps=substeps * self.heap)
         substeps = max(SUBSTEPS, substeps)
@@ -76,7 +76,7 @@ class Stiffness(NamedTuple):
 
 
 def stiffness(scene: State, numbers: SceneNumbers | None = None) -> Stiffness | None:
-    """What makes a scene too stiff for a few sweeps; None where nothing does. numbers: the scene's, if at hand."""
+    """The `Stiffness` of a scene that is too stiff for a few sweeps, or None. numbers: of the scene, if at hand."""
     numbers = numbers or scene_numbers(scene)
     if numbers.count < 2:
         return None
@@ -94,17 +94,17 @@ def stiffness(scene: State, numbers: SceneNumbers | None = None) -> Stiffness | 
 
 
 def height_and_width(numbers: SceneNumbers) -> tuple[float, float]:
-    """Of all circles, against gravity and across it, in mean diameters; (0, 0) without gravity."""
+    """(Height, width) of all circles, against gravity and across it, in mean diameters; (0, 0) without gravity."""
     if numbers.gravity == 0.0:
         return 0.0, 0.0
     high, wide = (extent / (2.0 * numbers.radius) + 1.0 for extent in (numbers.height, numbers.width))
-    return min(high, numbers.count), wide  # what falls from far above is no column
+    return min(high, numbers.count), wide  # circles that fall from far above are no column
 
 
 def _load(scene: State) -> float:
-    """The most mass that lies above a circle, over its own.
+    """The largest ratio of the mass above a circle to its own mass, over all circles.
 
-    What lies above is counted in strips as wide as the largest circle; a circle takes the share of its width.
+    The mass above is counted in strips as wide as the largest circle; a circle carries the share of its width.
     """
     bodies, gravity = scene.bodies, np.asarray(scene.world.gravity, float)
     if bodies.is_fixed.all():
@@ -115,7 +115,7 @@ def _load(scene: State) -> float:
     widest = float(bodies.radius.max())
     strip = np.floor((across - across.min()) / (2.0 * widest) + 1e-9)
     order = np.lexsort((-up, strip))
-    first = np.searchsorted(strip[order], strip[order])  # of the strip that each circle is in
+    first = np.searchsorted(strip[order], strip[order])  # first place of each circle's strip
     sums = np.concatenate([[0.0], np.cumsum(bodies.mass[order])])
     return float(((sums[:-1] - sums[first]) * (bodies.radius / widest / bodies.mass)[order]).max())
 

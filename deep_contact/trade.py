@@ -1,7 +1,7 @@
 """The trade of speed for accuracy on a scene of your own: `measure_trade`, and the `Trade` that it returns.
 
 Every setting runs the scene with several seeds. A reference runs it too, with 20 sweeps of PGS and substeps of at most
-a sixteenth of the longest that a preset takes; what `stiffness` finds too stiff for that, it solves better
+a sixteenth of the longest substep of a preset; scenes that `stiffness` finds too stiff for that get a better reference
 (`reference_of`). Errors are the differences of both ensembles (`run_errors`), with intervals over seeds.
 A setting is a mapping that JSON can hold: a method of ours, or another engine, with its options, sweeps and Δt.
 The studies of runs (`studies.runs`) run, time and judge their settings by the same functions.
@@ -68,25 +68,25 @@ SHIFT = 1e-3
 """Largest shift of a coordinate of a copy of a state, in slops."""
 
 APART = 0.01
-"""Root mean square distance, in mean radii, from which two copies are no longer together."""
+"""Root mean square distance, in mean radii, from which on two copies are no longer together."""
 
 TIMED = 2
-"""Seeds whose runs are timed, each in one go."""
+"""Number of seeds whose runs are timed, each in one call."""
 
 LONG_ENOUGH = 0.02
-"""Time of a run, s, from which it is timed once."""
+"""Least time of all timings of a run together, s: a shorter run is timed several times."""
 
 WARM = 5
 """Steps of a run before its time counts: the first ones load code, fill an engine's memory and find all contacts."""
 
 POSITION_SWEEPS = 10
-"""Of Box2D 2.3, at most."""
+"""Largest number of position iterations of Box2D 2.3."""
 
 SHOWN = ("energy", "height", "penetration", "penetration_max")
-"""Of the study's errors, those in the printed table, beside the user's quantities."""
+"""Errors of the study that the printed table shows, beside the user's quantities."""
 
 LARGEST_FILE = 2**30
-"""Of a saved trade, bytes."""
+"""Largest file of a saved trade, bytes."""
 
 ABSOLUTE = ("penetration", "penetration_95", "penetration_max")
 """Errors that compare with zero, not with the reference."""
@@ -95,7 +95,7 @@ REFERENCE = "reference"
 """Name of the reference's runs among those that are observed."""
 
 HALF = "half step"
-"""Name of the runs of half its step."""
+"""Name of the runs with half the reference's step."""
 
 
 # ---- settings ----
@@ -110,13 +110,13 @@ def setting_of(solver, dt: float, start: str = "builtin") -> dict:
 
 
 def solver_of(setting: Mapping):
-    """The options of a setting's method; without a tolerance unless it has one."""
+    """The solver options of a setting, with a tolerance of None unless the setting has one."""
     options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start")}
     return solver_from(setting["method"], {"tolerance": None} | options)
 
 
 def name_of(setting: Mapping, step: float = TIME_STEP) -> str:
-    """Such as "PGS, 10 sweeps, Δt / 2", or of an engine "Box2D v3, 4 iterations, Δt / 2"; `step` is Δt, s."""
+    """Name of a setting, such as "PGS, 10 sweeps, Δt / 2" or "Box2D v3, 4 iterations, Δt / 2". step: Δt, s."""
     budget, ratio = "iteration" if "engine" in setting else "sweep", step / setting["dt"]
     words = [group_of(setting), f"{setting['sweeps']} {budget}{'s' * (setting['sweeps'] != 1)}"]
     words += [f"{key}={setting[key]}" for key in setting if key not in ("engine", "method", "sweeps", "dt")]
@@ -124,17 +124,17 @@ def name_of(setting: Mapping, step: float = TIME_STEP) -> str:
 
 
 def group_of(setting: Mapping) -> str:
-    """Its method, or its engine."""
+    """The method of a setting, or its engine."""
     return setting.get("engine") or setting["method"]
 
 
 def reference_of(numbers: SceneNumbers, stiff: Stiffness | None, finer: int = 1) -> dict:
-    """The setting that is taken for the limit of small steps of a scene, or one of steps `finer` times as small."""
+    """The setting that counts as a scene's limit of small steps, or one with `finer` times as many steps."""
     parts = presets.parts_for(numbers, TIME_STEP / 16)
     if stiff is None:
         return setting_of(PGS(sweeps=20, tolerance=None, substeps=finer * parts), numbers.dt)
     solver = stiff.solver(finer * parts)
-    if solver.tolerance is None:  # substeps of a few sweeps: so many more of them
+    if solver.tolerance is None:  # with few sweeps in a substep: more substeps
         solver = replace(solver, sweeps=20, substeps=4 * solver.substeps)
     return setting_of(solver, numbers.dt)
 
@@ -162,7 +162,7 @@ def ladder(numbers: SceneNumbers) -> list:
 
 
 def rivals(scene: State) -> tuple[list, list[str]]:
-    """(Settings of the engines that have the scene, why the others do not)."""
+    """(Settings of the engines that can run the scene, sentences on why the others cannot)."""
     settings, why = [], []
     for engine in peers.ENGINES:
         budgets = ((1, 4), (1, 10), (2, 4), (2, 10), (4, 2), (4, 4))
@@ -188,7 +188,7 @@ class Run:
             self._world = peers.ENGINES[setting["engine"]](self._state.replace(contacts=None), **options)
 
     def advance(self, steps: int) -> None:
-        """So many steps of the setting's Δt."""
+        """Do `steps` steps of the setting's Δt."""
         state, setting = self._state, self._setting
         if self._world is None:
             begin = setting.get("start", "builtin")
@@ -199,7 +199,7 @@ class Run:
             self._state = state.replace(time=state.time + steps * setting["dt"])
 
     def state(self) -> State:
-        """The state now, with contacts."""
+        """The present state, with contacts."""
         if self._world is None:
             return self._state
         state = self._state.replace(bodies=self._world.bodies())
@@ -207,7 +207,7 @@ class Run:
 
 
 def states_of(start: State, setting: Mapping, frames: int, interval: float) -> Iterator[State]:
-    """The states of a run with a setting every `interval`, s. Raises ValueError where no step of it ends there."""
+    """`frames` states of a run, one every `interval`, s. Raises ValueError if the setting's Δt does not divide it."""
     run, each = Run(start, setting), round(interval / setting["dt"])
     text = f"dt: expected a step that divides {interval:g} s, got {setting['dt']}"
     expect(math.isclose(each * setting["dt"], interval, rel_tol=1e-5), text)
@@ -217,10 +217,10 @@ def states_of(start: State, setting: Mapping, frames: int, interval: float) -> I
 
 
 def timed(start: State, setting: Mapping, seconds: float) -> float:
-    """Time of the thread of a run of so many seconds in one go, s: the least of several where it is short.
+    """Thread time of a run of `seconds` seconds of the scene in one call, s: the least of several for a short run.
 
-    Other programs disturb it least. What the Python wrapper of other engines costs a step is part of what their users
-    pay; the destruction of their world is not.
+    Other programs disturb thread time least. The Python wrapper of another engine counts, since its users pay for it;
+    the destruction of its world does not.
     """
     took: list[float] = []
     while len(took) < 5 and sum(took) < LONG_ENOUGH:
@@ -232,7 +232,7 @@ def timed(start: State, setting: Mapping, seconds: float) -> float:
 
 
 def row_of(setting: Mapping, step: float, ensemble: Sequence[Observation], reference: Sequence[Observation]) -> dict:
-    """A row of results: what was run, and its errors with intervals, against the reference's runs of the same scenes.
+    """A row of results: the setting, and its errors with intervals, against the reference's runs of the same scenes.
 
     step: Δt of the scene, s.
     """
@@ -241,10 +241,10 @@ def row_of(setting: Mapping, step: float, ensemble: Sequence[Observation], refer
 
 
 def noise_of(half: Sequence, reference: Sequence, *, swaps: int = 20) -> dict[str, float]:
-    """What `errors` are by chance: between runs of the same scenes by the reference and by half its step.
+    """Sizes of the `errors` by chance, from runs of the same scenes by the reference and by half its step.
 
-    Where halving changes nothing but chance, the two runs of a scene may be swapped, and the errors of ensembles with
-    swapped pairs are those that seeds alone make.
+    If half the step changes nothing but chance, the two runs of a scene may be swapped. The errors between ensembles
+    with swapped pairs are then those that seeds alone make.
     """
     if len(half) < 2:
         return {}
@@ -262,14 +262,15 @@ def noise_of(half: Sequence, reference: Sequence, *, swaps: int = 20) -> dict[st
 @by_value
 @dataclass(kw_only=True, repr=False, eq=False)
 class Trade:
-    """What settings cost on a scene, and what they get wrong; `print` shows a table, a notebook as well.
+    """Costs and errors of settings on a scene; `print` and notebooks show a table.
 
-    rows: of each setting {"name", "setting", "group": method or engine, "seeds", "us": time of a step of Δt, µs, or
-    None, "errors": name -> (value, low, high) or None}; the errors of `ERRORS` in their units, those of
-    quantities as shares.
-    noise: error -> what seeds alone make of it. converged: error -> what half the step changes. notes: sentences.
-    by_preset: preset -> name of what the study takes for it. reference: the setting from which errors are measured,
-    with small steps; not the preset of that name. half: the same with half the step.
+    rows: for each setting {"name", "setting", "group": method or engine, "seeds", "us": time of a step of Δt, µs, or
+    None, "errors": name -> (value, low, high) or None}; the errors of `ERRORS` are in their units, those of quantities
+    are shares.
+    noise: name of an error -> its size by seeds alone. converged: name of an error -> its change by half the
+    reference's step. notes: sentences on the result. by_preset: preset -> name of the study's setting for it.
+    reference: the setting from which errors are measured, with small steps; not the preset of that name. half: the
+    reference with half its step.
     """
 
     scene: str
@@ -282,7 +283,7 @@ class Trade:
     half: dict
     quantities: list
     digests: list  # of the scene of each seed
-    looks: dict = field(default_factory=dict)  # quantity -> digest of what it is of the first scene
+    looks: dict = field(default_factory=dict)  # quantity -> digest of its value for the first scene
     seeds: int = 0
     observed: dict = field(default_factory=dict)  # (name, number of the seed) -> (seconds or None, Observation)
     rows: list = field(default_factory=list)
@@ -294,16 +295,16 @@ class Trade:
     def choose(self, accuracy: str | None = None, **tolerances: float):
         """The solver of the cheapest setting that keeps a preset ("fast" by default), or tolerances of errors by name.
 
-        Tolerances of quantities are shares: discharge=0.02. A setting that keeps them at the upper ends of its
-        errors' intervals is taken before one whose errors are within 85 % of them, and that one before one whose errors
-        are just within them. Where none does, the nearest is taken, with a warning; another one says where more seeds
-        are needed. Raises ValueError on a name that this scene has no error of, on a preset beside tolerances, and
-        where no setting was measured.
+        Tolerances of quantities are shares: discharge=0.02. Settings that keep the tolerances at the upper ends of
+        their errors' intervals come first, then settings whose errors are within 85 % of the tolerances, then settings
+        whose errors are just within them. If no setting keeps the tolerances, the nearest is taken, with a warning. A
+        second warning says if more seeds are needed. Raises ValueError on a name that is no error of this scene, on a
+        preset beside tolerances, and if no setting was measured.
         """
         return solver_of(self.chosen(accuracy, **tolerances)["setting"])
 
     def chosen(self, accuracy: str | None = None, **tolerances: float) -> dict:
-        """The row of `choose`."""
+        """The row of the setting that `choose` takes."""
         mine = [row for row in self.rows if row["us"] and row["group"] not in peers.ENGINES]
         expect(mine, "trade: expected a setting that was measured, got none; see its notes")
         expect(not (accuracy and tolerances), "choose: expected a preset or tolerances, got both")
@@ -321,8 +322,8 @@ class Trade:
             errors = {name: (row["errors"][name] or (math.inf,) * 3)[at] for name in limits}
             return presets.excess(errors, limits)
 
-        # First those that keep the tolerances at the upper ends of the intervals, then those whose errors keep them
-        # with a margin, then those whose errors just keep them.
+        # First settings that keep the tolerances at the upper ends of the intervals, then settings whose errors keep
+        # them with a margin, then settings whose errors just keep them.
         for at, most in ((2, 1.0), (0, presets.MARGIN), (0, 1.0)):
             if kept := [row for row in mine if excess(row, at) <= most]:
                 return min(kept, key=lambda row: row["us"])
@@ -334,9 +335,9 @@ class Trade:
         return math.ceil(self.seeds * (2.0 * self.noise.get(name, 0.0) / difference) ** 2)
 
     def values(self, quantity: str) -> dict[str, np.ndarray]:
-        """A quantity of the user, (runs, T, …), by the name of the setting, the reference's as "reference".
+        """Name of a setting -> values of a user's quantity, (runs, T, …). The reference's name is "reference".
 
-        A row is a run, in the order of the seeds; a run that came to no end has none.
+        A row is a run, in the order of the seeds; a run that ended with an error has no row.
         """
         one_of("quantity", quantity, self.quantities)
         seen: dict = {name: [] for name in (*self.settings, REFERENCE)}
@@ -345,7 +346,7 @@ class Trade:
         return {name: np.array(runs) for name, runs in seen.items() if runs and not isinstance(runs[0], str)}
 
     def decide(self, scene: State) -> Decision:
-        """What `simulate(accuracy=trade)` takes: `choose()`. Raises ValueError on a scene of another Δt."""
+        """The `Decision` of `simulate(accuracy=trade)`: `choose()`. Raises ValueError on a scene of another Δt."""
         expect(scene.dt == self.dt, f"accuracy: expected a scene of Δt = {self.dt:g} s, as measured, got {scene.dt:g}")
         row, count = self.chosen(), scene.bodies.count
         other = count > 2 * self.n_bodies or 2 * count < self.n_bodies
@@ -354,7 +355,8 @@ class Trade:
         return Decision(solver_of(row["setting"]), start, row["us"], stiffness(scene), (text,) if other else ())
 
     def table(self) -> list[list[str]]:
-        """A header and a line a setting, the cheapest first: ms a step, errors in %, the preset it keeps, its name."""
+        """A header, and a line for each setting, the cheapest first: ms a step, errors in %, the preset that it keeps,
+        its name."""
         names = [name for name in (*SHOWN, *self.quantities) if any(row["errors"].get(name) for row in self.rows)]
         lines = [["ms a step", *names, "keeps", "setting"]]
         for row in sorted(self.rows, key=lambda row: row["us"] or math.inf):
@@ -387,7 +389,7 @@ class Trade:
     def plot(self, *names: str) -> Figure:
         """The figure of errors over the time of a step: settings, their front, other engines, tolerances.
 
-        names: of errors, a panel each; by default the energy and the deepest penetration, and the user's quantities.
+        names: of the errors, a panel each; by default the energy, the deepest penetration and the user's quantities.
         Raises ValueError for an error that no setting has.
         """
         known = dict.fromkeys(name for row in self.rows for name, error in row["errors"].items() if error)
@@ -402,14 +404,14 @@ class Trade:
         return figure
 
     def save(self, path) -> Path:
-        """Write all of it, observations too, as JSON."""
+        """Write the trade with its observations to a JSON file. Returns its path."""
         stored = {f.name: getattr(self, f.name) for f in fields(self)}
         runs = [[*of, seconds, seen._asdict()] for of, (seconds, seen) in self.observed.items()]
         return write_json(path, results.plain(stored | {"observed": runs}))
 
 
 def load_trade(path) -> Trade:
-    """A `Trade` that was saved. Raises ValueError where the file is none."""
+    """The `Trade` in a file of `Trade.save`. Raises ValueError if the file is no such file."""
     try:
         stored = json.loads(read_bytes(path, LARGEST_FILE), parse_constant=_refused, parse_float=_finite)
         runs = stored["observed"]
@@ -419,7 +421,7 @@ def load_trade(path) -> Trade:
             value = getattr(trade, name)
             expect(isinstance(value, (kind, int) if kind is float else kind), f"{name}: {brief(value)}")
         _check_trade(trade)
-        str(trade)  # which looks at all rows
+        str(trade)  # reads all rows
         return trade
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise ValueError(f"{Path(path).name}: expected a file of Trade.save, got {brief(error)}") from None
@@ -449,9 +451,9 @@ def _check_trade(trade: Trade) -> None:
 
 
 def draw_plane(ax, rows: Sequence[Mapping], error: str, *, names: bool = True) -> None:
-    """Cost and error of settings with intervals, ours in blue with their front, other engines in grey.
+    """Draw cost and error of settings with intervals: ours in blue with their front, other engines in grey.
 
-    Dotted lines are what presets tolerate, with `names` at their right ends.
+    Dotted lines are the tolerances of presets. names: whether the presets' names stand at their right ends.
     """
     ours = []
     for row in rows:
@@ -488,20 +490,21 @@ def measure_trade(
     jobs: int | Executor = 1,
     before: Trade | None = None,
 ) -> Trade:
-    """Measure what each setting costs on a scene, and what it gets wrong.
+    """Measure the cost and the errors of settings on a scene.
 
-    scene: a state, or a function of a seed that makes one. Of a state each seed makes a copy, shifted by up to
-    0.001 slops. steps: of the scene's Δt, in each run, at least 20. From 240 steps on a run leaves out the last ones
-    that fill no interval between its observations. seeds: how many, or which.
-    minutes: after so many no further run begins, and what is known by then is returned. Compiling does not count.
+    scene: a state, or a function of a seed that returns a state. If it is a state, each seed makes a copy with its
+    coordinates shifted by up to 0.001 slops. steps: number of steps of the scene's Δt in each run, at least 20. From
+    240 steps on, a run leaves out last steps that fill no interval between its observations. seeds: number of seeds,
+    or the seeds themselves.
+    minutes: time after which no further run begins; the result then has the runs so far. Compiling does not count.
     quantities: name -> a function of a state that returns a number or an array. It is called after each step, and from
     240 steps on at 120 to 179 equal intervals.
-    settings: solvers to measure beside the presets, such as PGS(sweeps=4); by default a short ladder around these.
-    engines: whether Box2D and pymunk run too, where they have the scene. jobs: as in `parallel.finished`.
+    settings: solvers to measure beside the presets, such as PGS(sweeps=4); by default a short ladder around the
+    presets. engines: whether Box2D and pymunk run the scene as well, if they can. jobs: as in `parallel.finished`.
     before: an earlier result, whose runs are not done again.
 
-    Runs are done seed by seed. Ctrl-C returns what is known by then.
-    Raises ValueError on bad arguments, and where a run of the reference ends with an error.
+    Runs are done seed by seed. Ctrl-C returns the result of the runs so far.
+    Raises ValueError on bad arguments, and if a run of the reference ends with an error.
     """
     numbers, quantities = _checked(steps, minutes, seeds, quantities, jobs)
     states = copies(scene, numbers)
@@ -515,15 +518,15 @@ def measure_trade(
 
 
 def _intervals(trade: Trade) -> tuple[int, float]:
-    """How many intervals a run has between observations, and their length, s."""
+    """Number of intervals between the observations of a run, and their length, s."""
     every = max(1, trade.steps // FRAMES)
     return trade.steps // every, every * trade.dt
 
 
 def _run(trade: Trade, states: Sequence[State], quantities: Mapping, minutes: float | None, jobs) -> None:
-    """Do all runs, until the time is over or the user interrupts them; what they gave is in the trade."""
+    """Do all runs, until the time is over or the user interrupts them; their results go into the trade, in place."""
     settings = {REFERENCE: trade.reference, **trade.settings, HALF: trade.half}
-    # Seed by seed: a budget that ends leaves out seeds, not settings.
+    # Seed by seed, so that a budget that ends leaves out seeds, not settings.
     runs = [(name, i) for i in range(len(states)) for name in settings if (name, i) not in trade.observed]
     where = *_intervals(trade), quantities
     tasks = [(states[i], settings[name], *where, _is_timed(trade, name, i)) for name, i in runs]
@@ -547,7 +550,7 @@ def _run(trade: Trade, states: Sequence[State], quantities: Mapping, minutes: fl
 
 
 def _has_reference(trade: Trade) -> bool:
-    """Whether a run of the reference is known, without which nothing can be judged."""
+    """Whether a run of the reference is known, without which there are no errors."""
     return any(name == REFERENCE for name, _ in trade.observed)
 
 
@@ -572,12 +575,12 @@ def _checked(steps, minutes, seeds, quantities, jobs) -> tuple[list[int], dict[s
 
 
 def _is_timed(trade: Trade, name: str, i: int) -> bool:
-    """Whether a run of the seed with this number is timed: of a setting, not of the reference."""
+    """Whether the run of this name and of the i-th seed is timed: runs of settings are, runs of the reference not."""
     return i < TIMED and name in trade.settings
 
 
 def _task(task: tuple) -> tuple[float | None, Observation] | str:
-    """(Seconds or None, Observation) of a run; a sentence where it comes to no end."""
+    """(Seconds or None, Observation) of a run, or the message of the error with which it ends."""
     start, setting, frames, interval, quantities, is_timed = task
     try:
         seconds = timed(start, setting, frames * interval) if is_timed else None
@@ -587,7 +590,7 @@ def _task(task: tuple) -> tuple[float | None, Observation] | str:
 
 
 def copies(scene: State | Callable[[int], State], seeds: Sequence[int]) -> list[State]:
-    """The scene of each seed. Raises ValueError on what is none, and what does not hold together."""
+    """The scene of each seed. Raises ValueError on a value that is no scene, and on a scene that is not valid."""
     if isinstance(scene, State):
         bodies, slop = ready(scene).bodies, scene.scales.slop
         expect(bodies.count, "scene: expected a circle at least, got none")
@@ -608,7 +611,7 @@ def copies(scene: State | Callable[[int], State], seeds: Sequence[int]) -> list[
 
 
 def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantities: Mapping) -> Trade:
-    """The trade before its first run; everything is compiled."""
+    """The trade before its first run. All code that the runs need is compiled."""
     first, numbers = states[0], scene_numbers(states[0])
     stiff = stiffness(first, numbers)
     by_preset, more = settings_of_presets(numbers, stiff), ladder(numbers)
@@ -618,7 +621,7 @@ def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantit
     if outside := presets.outside(numbers, stiff):
         notes.append("outside of the study of the presets: " + "; ".join(outside))
     for setting in (*by_preset.values(), *more):
-        with contextlib.suppress(FloatingPointError):  # its runs will say it
+        with contextlib.suppress(FloatingPointError):  # its runs will report it
             Run(first, setting).advance(1)
     named = {name_of(one, first.dt): one for one in (*by_preset.values(), *more, *found)}
     values = {name: with_next(name, quantity, ready(first), []) for name, quantity in quantities.items()}
@@ -633,7 +636,7 @@ def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantit
 
 
 def _digest_of_state(state: State) -> str:
-    """Of all that a run begins from: the world, the bodies, the contacts with their impulses, and the time."""
+    """Digest of everything from which a run starts: the world, the bodies, the contacts with impulses, and the time."""
     moment = repr((state.world, state.time, state.step, state.dt, state.solved, state.contacts is None))
     return _digest(moment, *state.bodies, *(state.contacts or ()))
 
@@ -647,7 +650,7 @@ def _digest(*parts) -> str:
 
 
 def _known(trade: Trade, before: Trade) -> dict:
-    """What an earlier result has observed of the same runs. Raises ValueError where it is of other ones."""
+    """Observations of an earlier result that are of this trade's runs. Raises ValueError if it is of another trade."""
     expect(isinstance(before, Trade), f"before: expected a Trade, got {brief(before)}")
     for name in ("dt", "steps", "quantities", "looks", "reference", "cpu"):
         mine, other = getattr(trade, name), getattr(before, name)
@@ -659,7 +662,7 @@ def _known(trade: Trade, before: Trade) -> dict:
 
 
 def _judge(trade: Trade) -> None:
-    """Rows, noise and sentences from what was observed."""
+    """Fill rows, noise and notes of the trade from its observations, in place."""
     true = {i: seen for (name, i), (_, seen) in sorted(trade.observed.items()) if name == REFERENCE}
     trade.seeds, seconds_each = len(true), math.prod(_intervals(trade))
 
@@ -680,17 +683,17 @@ def _judge(trade: Trade) -> None:
 
 
 def _percent(name: str) -> float:
-    """What makes % of an error: 100 of a share, which those of quantities are."""
+    """Factor from the unit of an error to %: 100 for errors of quantities, which are shares, and otherwise 1."""
     return 1.0 if name in ERRORS else 100.0
 
 
 def _text(name: str, error: float) -> str:
-    """Such as "1.2 %"; contacts are a number."""
+    """An error as text, such as "1.2 %"; the error of contacts is a number without %."""
     return f"{error * _percent(name):.2g}{'' if name == 'contacts' else ' %'}"
 
 
 def _sentences(trade: Trade, reference: Sequence[Observation], checked: int) -> Iterator[str]:
-    """What to know of a trade: where seeds or the reference do not decide, and what the scene has not."""
+    """Notes of a trade: errors that seeds or the reference leave undecided, failed quantities, and missing contacts."""
     for name, noise in trade.noise.items():
         of = [row["errors"][name][0] for row in trade.rows if row["errors"][name]]
         differ = max(of, default=0.0) - min(of, default=0.0)
@@ -708,7 +711,7 @@ def _sentences(trade: Trade, reference: Sequence[Observation], checked: int) -> 
 
 
 def _together(pair: Sequence[State], trade: Trade) -> str:
-    """How long two copies of a state stay together."""
+    """A sentence on how long two copies of a state stay together."""
     setting, (frames, interval) = trade.settings[trade.by_preset["fast"]], _intervals(trade)
     for k, (one, other) in enumerate(zip(*(states_of(state, setting, frames, interval) for state in pair))):
         apart = np.sqrt(((one.bodies.position - other.bodies.position) ** 2).sum(axis=1).mean())

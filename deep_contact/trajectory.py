@@ -1,4 +1,4 @@
-"""A recorded run: its states as arrays over time, its file (`deep_contact.io.simulation_h5`), and how it is shown."""
+"""A recorded run: its states as arrays over time, its file (`deep_contact.io.simulation_h5`), and its films."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from deep_contact.state import StateWithContacts, World
 
 MOST_SHOWN = 200_000
-"""Most circles, of all states together, of the page in a notebook, which keeps it: some 2 MB."""
+"""Largest number of circles, over all states, of the page in a notebook, which stores the page: some 2 MB."""
 
 
 def _array(*names: str) -> property:
@@ -39,35 +39,35 @@ class Trajectory:
     | property   | meaning                                              | shape     | unit   |
     |------------|------------------------------------------------------|-----------|--------|
     | times      |                                                      | (T,)      | s      |
-    | positions  | of the centres                                       | (T, n, 2) | m      |
-    | velocities | of the centres                                       | (T, n, 2) | m/s    |
+    | positions  | centres                                              | (T, n, 2) | m      |
+    | velocities | velocities of the centres                            | (T, n, 2) | m/s    |
     | angles     | orientations, counter-clockwise                      | (T, n)    | rad    |
     | spins      | angular velocities                                   | (T, n)    | rad/s  |
-    | offsets    | the contacts of state i: offsets[i] … offsets[i + 1] | (T + 1,)  | –      |
+    | offsets    | state i has contacts offsets[i] to offsets[i + 1]    | (T + 1,)  | –      |
     | pairs      | body_a and body_b of each contact                    | (M, 2)    | –      |
     | impulses   | λ_n and λ_t of each contact                          | (M, 2)    | N·s    |
-    | energies   | kinetic and potential                                | (T, 2)    | J      |
+    | energies   | kinetic and potential energy                         | (T, 2)    | J      |
 
-    Arrays are those of the run, not copies; `run[i]` has copies, which cannot be written into. Potential energy is zero
-    at the origin.
+    Arrays are those of the run, not copies; the state `run[i]` has read-only copies. Potential energy is zero at the
+    origin.
     """
 
     stored: StoredSimulation
-    """All that its file holds."""
+    """The content of the run's file."""
 
     @classmethod
     def from_states(cls, states: Iterable[State], *, work=None) -> Trajectory:
         """A run from its states, in the order of time, with contacts.
 
-        work: what moving segments, fixed circles and pushes did until each, (T,), J, or None. Raises ValueError naming
-        state and field, also where the number of circles changes: `dc.film` shows such states.
+        work: work of moving segments, fixed circles and pushes until each state, (T,), J, or None. Raises ValueError
+        naming state and field, also if the number of circles changes: `dc.film` shows such states.
         """
         from deep_contact.io.simulation_h5 import pack_simulation
 
         return cls(pack_simulation(states, work=work))
 
     def save(self, path) -> None:
-        """Write the run to an HDF5 file, whole or not at all. Raises OSError where that cannot be written."""
+        """Write the run to an HDF5 file, whole or not at all. Raises OSError if the file cannot be written."""
         from deep_contact.io.files import write_bytes
         from deep_contact.io.simulation_h5 import simulation_file
 
@@ -88,7 +88,7 @@ class Trajectory:
         return f"Trajectory({self.positions.shape[1]} circles, {len(self)} states, {t[0]:g} to {t[-1]:g} s, {contacts})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the page that plays the run, of at most `MOST_SHOWN` circles in all its states."""
+        """HTML for notebooks: the page that plays the run, with at most `MOST_SHOWN` circles over all its states."""
         from deep_contact.reporting.player import page
 
         circles = self.positions.shape[1]
@@ -119,15 +119,16 @@ class Trajectory:
 
     @property
     def work(self) -> np.ndarray:
-        """What moving segments, fixed circles and pushes did until each state, (T,), J; 0 in a run without such."""
+        """Work of moving segments, fixed circles and pushes until each state, (T,), J; 0 in a run without them."""
         return self.stored.arrays.get("work", np.zeros(len(self)))
 
     @property
     def dissipated(self) -> np.ndarray:
         """The energy that contacts took from the circles between each state and the next, (T − 1,), J.
 
-        It is work less the change of energy. What belts and position correction gave is negative. Velocities are those
-        half a substep before the positions (symplectic Euler is a leapfrog), so that free flight dissipates nothing.
+        It is the work less the change of energy. Energy that belts and position correction give counts as negative. The
+        kinetic energy is that of half a substep before the positions (symplectic Euler is a leapfrog); this is allowed
+        for, so that free flight dissipates nothing.
         """
         header = self.stored.header
         solver = header["solver"]
@@ -136,7 +137,7 @@ class Trajectory:
         return np.diff(self.work - self.energies.sum(axis=1) - late)
 
     def table(self) -> dict[str, np.ndarray]:
-        """A row for each circle at each time, (T n,) a column: time, circle, and the columns of `Bodies.table`."""
+        """Columns with a row for each circle at each time, (T n,) each: time, circle, and those of `Bodies.table`."""
         count, n = self.positions.shape[:2]
         of_circles = {name: np.tile(self.stored.arrays[name], count) for name in ("mass", "radius")}
         return {
@@ -149,13 +150,13 @@ class Trajectory:
     def film(self, path, *, fps: float | None = None, size: int | None = None, every: int = 1, colour=None) -> Path:
         """Write a page that plays the run, or a film of it. Returns its path.
 
-        path: of an .html, which any browser plays without a network; of a .gif; or of an .mp4, for which ffmpeg is
-        needed, or the package imageio-ffmpeg. every: one in so many states is shown. fps: states of a film a second,
-        by default 25. size: of the longer side of its box, pixels, by default 640. A page plays at the run's own speed
-        and fits its window, and takes neither. colour: a number for each circle in each state, (T, n), for a page,
-        which has speed, radius, material and index as well. Raises ValueError for another ending, for numbers that do
-        not fit, for a run that is too large for a page, and where ffmpeg is missing. Raises OSError where the file
-        cannot be written.
+        path: file with the ending .html, which any browser plays without a network; .gif; or .mp4, which needs ffmpeg,
+        or the package imageio-ffmpeg. every: 1 shows each state, 2 each second state, and so on. fps: states of
+        a film a second, by default 25. size: longer side of the box in a film, pixels, by default 640. A page takes
+        neither fps nor size, since it plays at the run's own speed and fits its window. colour: a number for each
+        circle in each state, (T, n), for a page, which also has speed, radius, material and index as colours.
+        Raises ValueError for another ending, for numbers that do not fit, for a run that is too large for a page, and
+        if ffmpeg is missing. Raises OSError if the file cannot be written.
         """
         shown = range(0, len(self), integer("every", every, 1))
         if colour is not None:
@@ -164,11 +165,14 @@ class Trajectory:
 
 
 def film(states: Iterable[State], path, *, fps: float | None = None, size: int | None = None, colour=None) -> Path:
-    """Write a page or a film of states, which may have any number of circles and segments anywhere.
+    """Write a page or a film of states, whose circles and segments may differ in number and place.
 
-    Pages and films show the box of the first state. colour: numbers for the circles of each state, (n,) each. Other
-    arguments, result and errors as of `Trajectory.film`. Raises ValueError without states. Forces are impulses over
-    Δt: of `run.solved` the mean over each step, of other states that of the last substep (`dc.forces`).
+    Pages and films show the box of the first state. Forces are impulses over Δt: for states of `run.solved` the mean
+    over each step, for other states that of the last substep (`dc.forces`).
+
+    colour: numbers for the circles of each state, (n,) each.
+
+    The other arguments, the result and the errors are those of `Trajectory.film`. Raises ValueError without states.
     """
     states = list_of("states", State, states)
     expect(states, "states: expected at least one state, got none")
@@ -191,7 +195,7 @@ def film(states: Iterable[State], path, *, fps: float | None = None, size: int |
 def load_trajectory(path) -> Trajectory:
     """The run in a file of `Trajectory.save`, or of a data set.
 
-    Raises DataFileError naming file, field and value, and OSError where the file cannot be opened.
+    Raises DataFileError naming file, field and value, and OSError if the file cannot be opened.
     """
     from deep_contact.io.simulation_h5 import read_simulation
 

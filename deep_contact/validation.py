@@ -1,6 +1,6 @@
-"""The border of the package: every function checks one argument and returns it as a plain Python value.
+"""Validation at the border of the package: every function checks one argument and returns it as a plain Python value.
 
-All raise ValueError in the form "name: expected …, got …".
+All functions raise ValueError in the form "name: expected …, got …".
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def brief(value) -> str:
 
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
-    """Warn where the package was called from."""
+    """Warn, with the line of the caller outside of the package."""
     frame, level = sys._getframe(1), 2
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "deep_contact":
         frame, level = frame.f_back, level + 1
@@ -43,7 +43,7 @@ def expect(condition, message: str) -> None:
 
 
 def refuse_where(bad: np.ndarray, name: str, values: np.ndarray, expected: str) -> None:
-    """Raise ValueError naming the first place in which `bad` holds, and the value, or row of values, that is there."""
+    """Raise ValueError naming the first index at which `bad` holds, and the value, or row of values, at this index."""
     if bad.any():
         place = np.argwhere(bad)[0].tolist()
         raise ValueError(f"{name}{place or ''}: expected {expected}, got {values[tuple(place)]}")
@@ -52,7 +52,7 @@ def refuse_where(bad: np.ndarray, name: str, values: np.ndarray, expected: str) 
 def integer(name: str, value, least: int = 0, most: int | None = None, *, hint: str = "") -> int:
     """`value` as an int from `least` to `most`, both included. A bool, and a float such as 2.0, is not an integer.
 
-    hint: what to do, for the message.
+    hint: advice at the end of the message.
     """
     is_one = type(value) is int or (isinstance(value, Integral) and not isinstance(value, bool))
     if not is_one or value < least:
@@ -78,7 +78,7 @@ def number(name: str, value, low=None, high=None, *, above=None, below=None) -> 
 
 
 def several(name: str, values, count: int, *, check=number, expected: str = "finite numbers") -> tuple:
-    """So many values as a tuple, each as `check` returns it. expected: what they are, for the message."""
+    """`count` values as a tuple, each as `check` returns it. expected: a description of them for the message."""
     try:
         checked = tuple(check(name, value) for value in values)
     except (TypeError, ValueError):
@@ -88,7 +88,7 @@ def several(name: str, values, count: int, *, check=number, expected: str = "fin
 
 
 def list_of(name: str, kind: type, values) -> list:
-    """Several values of a kind as a list. Raises ValueError where it is one alone, or another is among them."""
+    """Several values of a type as a list. Raises ValueError on a single value, and on a value of another type."""
     expected = f"{name}: expected several {kind.__name__} objects, such as a list,"
     expect(isinstance(values, Iterable) and not isinstance(values, (str, bytes)), f"{expected} got {brief(values)}")
     listed = list(values)
@@ -98,7 +98,7 @@ def list_of(name: str, kind: type, values) -> list:
 
 
 def real_numbers(value) -> np.ndarray | None:
-    """`value` as a new float64 array; None where it is not real numbers alone.
+    """`value` as a new float64 array; None unless it consists of real numbers only.
 
     NumPy converts text, dates and the hidden values of masked arrays without a word, and cuts complex numbers.
     """
@@ -130,15 +130,15 @@ SYNONYMS = {
     "r": "radius", "rtol": "tolerance", "time_step": "dt", "timestep": "dt", "tol": "tolerance", "v": "velocity",
     "walls": "segments", "workers": "jobs",
 }  # fmt: skip
-"""Name that people try for a keyword -> the keyword that there is."""
+"""Wrong keyword that people try -> the right keyword."""
 
 F = TypeVar("F", bound=Callable)
 
 
 def suggesting(function: F) -> F:
-    """The function, or the class, whose TypeError on a wrong call says what was meant.
+    """Decorator of a function or class: the TypeError of a wrong call suggests what was meant.
 
-    Of a keyword that there is not it names the nearest, of a value too many the first options, which have to be named.
+    For an unknown keyword it names the nearest keyword; for too many values, the first options, which have to be named.
     """
     if isinstance(function, type):
         function.__init__ = suggesting(function.__init__)  # type: ignore[misc]
@@ -156,7 +156,7 @@ def suggesting(function: F) -> F:
 
 
 def _with_hint(message: str, function: Callable, keywords: dict, is_ours: bool) -> str:
-    """The message of a TypeError, with what was meant. is_ours: it is of the call itself, and of none further down."""
+    """The message of a TypeError, with a suggestion. is_ours: whether the error is of the call itself."""
     known, wrong = inspect.signature(function).parameters, re.search(r"unexpected keyword argument '(\w+)'", message)
     if is_ours and "positional argument" in message:
         named = [f"{name}=…" for name, one in known.items() if one.kind is one.KEYWORD_ONLY][:3]
@@ -179,7 +179,7 @@ def one_of(name: str, value, known: Collection):
     try:
         if value in known:
             return value
-    except (TypeError, ValueError):  # what cannot be hashed, and arrays, which compare element by element
+    except (TypeError, ValueError):  # values without a hash, and arrays, which compare element by element
         pass
     names = {str(one).lower(): one for one in known}
     near = difflib.get_close_matches(value.lower(), names, 1) if isinstance(value, str) else ()

@@ -1,8 +1,8 @@
-"""Where the solver starts. Every start has one signature: `start(state, solver) -> (normal, tangent)`.
+"""Starts of the solver. Every start has one signature: `start(state, solver) -> (normal, tangent)`.
 
-state: a `State` with contacts. solver: the options it will be solved with. Returned: the impulses to start from, (m,)
-each, N·s. The engine knows a start by its name or takes any such callable; it raises where the result does not fit
-the contacts, and nothing falls back to zero.
+state: a `State` with contacts. solver: options of the solve. A start returns the impulses to start from, (m,) each,
+N·s. The engine takes a start by its name, or any such callable. It raises an error if the impulses do not fit the
+contacts; it never falls back to zero.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
 Classical = Literal["none", "builtin", "scaled", "support", "copy"]
 Name = Literal[Classical, "sph", "sph spline", "sph consistent", "cnn", "far field", "far field, no past"]
 Start = Union[Name, WarmStart, "LearnedModel", Path, None]
-"""What `warm_start=` takes: a name, a callable, a `LearnedModel` or the path of its file; None is "none"."""
+"""Values of `warm_start=`: a name, a callable, a `LearnedModel` or the path of its file; None is "none"."""
 
 
 @dataclass(frozen=True)
 class NoStart:
-    """Zero everywhere (the thesis's Non-Model)."""
+    """Impulses of 0 (the thesis's Non-Model)."""
 
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(state.contacts.count), np.zeros(state.contacts.count)
@@ -44,9 +44,9 @@ class NoStart:
 
 @dataclass(frozen=True)
 class Builtin:
-    """What the same pair of bodies had solved the step before, 0 for a new pair (the thesis's Builtin-Model).
+    """The solved impulses of each pair of bodies in the step before, 0 for a new pair (the thesis's Builtin-Model).
 
-    The engine carries them along as it steps, so they are the start that the state holds.
+    The engine carries these impulses along, so they are the start that the state holds.
     """
 
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
@@ -54,7 +54,7 @@ class Builtin:
 
 
 class FromProblem:
-    """A start that is made from the rows of a step, which goes on from them: `from_problem(state, solver, problem)`."""
+    """A start made from the rows of a step, which then uses the same rows: `from_problem(state, solver, problem)`."""
 
     def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
         return self.from_problem(state, solver, step_problem(state))
@@ -76,9 +76,9 @@ class Scaled(FromProblem):
 
 @dataclass(frozen=True)
 class Support(FromProblem):
-    """What carries each circle's load down, from positions alone (`physics.support`): for piles without a past.
+    """Impulses that carry each circle's load down, from positions alone (`physics.support`): for piles without a past.
 
-    Where contacts carry impulses of a step before, Builtin is better.
+    If contacts carry impulses of a step before, Builtin is better.
     """
 
     def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
@@ -95,7 +95,7 @@ class Copy:
 
 Transfer = Literal["thesis", "consistent", "spline", "shared"]
 TRANSFERS: tuple[Transfer, ...] = get_args(Transfer)
-"""Ways to the image and back, see `Sph`."""
+"""Ways to transfer impulses to an image and back, see `Sph`."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,13 +103,13 @@ class Sph:
     """The solution after a round trip through a grid image (the thesis's SPH-Model, Algorithm 5).
 
     spacing: d of the grid, m. support: h of the kernel, m; by default h = d. transfer: one of `TRANSFERS`. All of them
-    spread an impulse over nodes by weights that sum to one (Appendix A), and differ in how they read it back:
+    spread an impulse over nodes by weights that sum to one (Appendix A), and differ in how they read the impulse back:
 
-    - "thesis" (the start "sph"): bilinearly (Algorithm 4). That returns a part of the impulse, and nothing where no
-      node is within h.
-    - "consistent" ("sph consistent", ours): bilinearly, divided by what a field of ones returns.
+    - "thesis" (the start "sph"): bilinearly (Algorithm 4), which returns a part of the impulse, and 0 where no node is
+      within h.
+    - "consistent" ("sph consistent", ours): bilinearly, divided by the value that a field of ones returns.
     - "spline" ("sph spline"): as the thesis's authors programmed it for this start (`sph.thesis`).
-    - "shared": as they programmed it for the start of their network.
+    - "shared": as the thesis's authors programmed it for the start of their network.
 
     Raises ValueError on an unknown transfer; `deep_contact.sph` checks the rest.
     """
@@ -162,10 +162,10 @@ class Sph:
 
 @dataclass(frozen=True)
 class Cnn(FromProblem):
-    """What a network predicts (the thesis's CNN-Model, Algorithm 7), projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
+    """Impulses that a network predicts (the thesis's CNN-Model, Algorithm 7), projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
 
     model: a `LearnedModel`, or the path or name of a model file, which is read again only if it changes. None is the
-    thesis's network, rebuilt (the start "cnn"), for its box of 30 m × 30 m. "far field" is ours, which corrects
+    thesis's network, rebuilt (the start "cnn"), for its box of 30 m × 30 m. "far field" is our network, which corrects
     Builtin's impulses in any box.
     """
 
@@ -184,7 +184,7 @@ class Cnn(FromProblem):
 class FarFieldNoPast(Cnn):
     """`Support`, corrected by a far-field network that was trained on such starts, for piles without a past.
 
-    model: as of `Cnn`. Where contacts carry impulses of a step before, Builtin is better.
+    model: as of `Cnn`. If contacts carry impulses of a step before, Builtin is better.
     """
 
     model: LearnedModel | str | Path | None = "far field, no past"
@@ -216,17 +216,17 @@ STARTS: dict[Name, Callable[[], WarmStart]] = {
     "far field": partial(Cnn, "far field"),
     "far field, no past": FarFieldNoPast,
 }
-"""Name -> what makes the start with its default options."""
+"""Name -> class or function that makes the start with its default options."""
 
 RENAMED = {"learned support": "far field, no past"}
-"""Name of a start before -> its name now."""
+"""Former name of a start -> its present name."""
 
 
 def solved_impulses(state: State, solver) -> tuple[np.ndarray, np.ndarray]:
     """(λ_n, λ_t) of the state's solution, (m,) each, N·s.
 
-    Those that it holds if it does (`State.holds_solution`); otherwise it is solved here, from Builtin, as in the copy
-    of the world that the thesis runs one step ahead (Algorithm 5).
+    If the state holds its solution (`State.holds_solution`), they are read from it. Otherwise the state is solved here,
+    from Builtin, like the copy of the world that the thesis runs one step ahead (Algorithm 5).
     """
     contacts = state.contacts
     if state.holds_solution:
@@ -241,9 +241,9 @@ def is_network(start) -> bool:
 
 
 def warm_start_of(start: Start) -> WarmStart:
-    """The start meant by None, a name, a network or its path, or a callable, which is returned as it is.
+    """The start that None, a name, a network or its path stands for; a callable is returned as it is.
 
-    Raises ValueError on others.
+    Raises ValueError on any other value.
     """
     if isinstance(start, type):
         raise ValueError(f"warm_start: expected an instance, such as {start.__name__}(), got the class")
@@ -269,11 +269,10 @@ def warm_start_of(start: Start) -> WarmStart:
 def starting_impulses(
     start, state: State, solver, scales: ContactScales | None = None
 ) -> tuple[np.ndarray, np.ndarray, StepProblem | None]:
-    """(λ_n, λ_t, problem) of a start, or of two arrays in its place: checked float64 arrays of their own, (m,) each,
-    N·s.
+    """(λ_n, λ_t, problem) of a start, or of two arrays in its place. The impulses are validated copies, (m,) each, N·s.
 
-    problem: the state's contact problem, where a start with a method `from_problem(state, solver, problem)` needed it,
-    so that the step goes on from it; else None. scales: the state's, if at hand.
+    problem is the state's contact problem if a start with a method `from_problem(state, solver, problem)` needed it, so
+    that the step can use it; otherwise None. scales: those of the state, if at hand.
     Raises ValueError on impulses that do not fit the contacts or are beyond `state.arrays.LARGEST_START`.
     """
     problem = None

@@ -52,7 +52,7 @@ STEP = 8.0
 
 GRID = np.dtype(
     [
-        ("x", float),  # of the corner, m
+        ("x", float),  # of the grid's corner, m
         ("y", float),
         ("per_metre", float),  # cells per metre
         ("widest", float),  # largest radius, m
@@ -78,7 +78,7 @@ class Walls(NamedTuple):
     """Geometry of the walls of the box."""
 
     box: tuple  # (x_min, y_min, x_max, y_max), m
-    skin: float  # of walls and segments, m
+    skin: float  # skin of walls and segments, m
 
 
 class Cells(NamedTuple):
@@ -329,7 +329,7 @@ def circles_around(a, position, reach, levels, cells, found, m):
         grid = cells.grid[level]
         columns, per_metre = grid["columns"], grid["per_metre"]
         column, row = (x - grid["x"]) * per_metre, (y - grid["y"]) * per_metre
-        span = TOUCHING * (reach + grid["widest"]) * per_metre + 1e-9  # more than rounding
+        span = TOUCHING * (reach + grid["widest"]) * per_metre + 1e-9  # the summand exceeds rounding
         left, right = int(max(column - span, 0.0)), int(min(column + span, columns - 1.0))
         if left > right:
             continue

@@ -69,7 +69,7 @@ def mean_theta(thetas: Iterable[np.ndarray], sweeps: int) -> np.ndarray:
 
 @njit(cache=True)
 def is_over(theta, tolerance):
-    """Whether sweeping ends: θ is within the tolerance, or not a number any more."""
+    """Whether sweeping ends: θ is within the tolerance, or not finite."""
     return theta <= tolerance or not math.isfinite(theta)
 
 

@@ -22,9 +22,9 @@ from deep_contact.validation import expect, floats, refuse_where
 class ContactProblem(NamedTuple):
     """Find λ with 0 ≤ λ_n ⟂ (A λ + b)_n ≥ 0, and |λ_t| ≤ μ λ_n against the slip (A λ + b)_t (Eq 2.27, 2.29).
 
-    r = 2 m; the rows of contact i are 2 i (normal) and 2 i + 1 (tangent). Where the bodies are not known, as in
-    problems of other programs, jacobian, inverse_mass and free_velocity are None.
-    The thesis writes A = J M⁻¹ Jᵀ Δt because its λ is a force; ours is an impulse.
+    r = 2 m; the rows of contact i are 2 i (normal) and 2 i + 1 (tangent). If the bodies are unknown, as in problems of
+    other programs, jacobian, inverse_mass and free_velocity are None.
+    The thesis writes A = J M⁻¹ Jᵀ Δt because its λ is a force; here λ is an impulse.
     """
 
     A: sparse.csr_array  # (r, r), 1/kg: J M⁻¹ Jᵀ
@@ -70,7 +70,7 @@ def check_problem(problem: ContactProblem) -> ContactProblem:
 
 
 def natural_residual(problem: ContactProblem, impulse: np.ndarray) -> float:
-    """The largest |λ − Π(λ − u / d)| d over all rows, d the diagonal of A, m/s: `metrics.residual` from matrices."""
+    """`metrics.residual` from matrices, m/s: the largest |λ − Π(λ − u / d)| d over all rows, d the diagonal of A."""
     diagonal = problem.A.diagonal()
     free = impulse - (problem.A @ impulse + problem.b) / diagonal
     largest = problem.friction * np.maximum(impulse[::2], 0.0)

@@ -61,7 +61,10 @@ def velocity_error(state: State, solution: ContactSolution, reference: ContactSo
 
 
 def _ends(state: State) -> tuple[np.ndarray, ...]:
-    """a, b and their arms, m, of every contact; walls and segments are the four bodies behind the circles."""
+    """(a, b, arm of a, arm of b) of every contact, (m,) each, arms in m.
+
+    Walls and segments are the four bodies behind the circles.
+    """
     n, half = state.bodies.count, 0.5 * state.contacts.separation
     a, b = state.contacts.body_a, np.minimum(state.contacts.body_b, n + 3)
     radius = np.append(state.bodies.radius, np.zeros(4))
@@ -107,5 +110,5 @@ def residual(state: State, solution: ContactSolution) -> float:
 
 
 def penetration(state: State) -> float:
-    """Deepest penetration at the state's positions, m, felt surfaces of the walls included (`scales.wall_skin`)."""
+    """Deepest penetration at the state's positions, m, into circles and into the skin of walls and segments."""
     return float(max(0.0, -contacts_of(state).separation.min(initial=0.0)))

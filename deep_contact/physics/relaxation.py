@@ -45,8 +45,8 @@ GOLDEN = 0.6180339887498949
 def at_rest(problem, normal, tangent, *, iterations: int, speed: float) -> tuple[np.ndarray, np.ndarray, float]:
     """(λ_n, λ_t, rms speed): impulses of the relaxation, (m,) each, N·s, and the speed of the circles after them, m/s.
 
-    problem: `StepProblem` with tangent rows. normal, tangent: impulses to start from, (m,) each, N·s. iterations: their
-    largest number. speed: rms speed at which the iterations end, m/s.
+    problem: `StepProblem` with tangent rows. normal, tangent: impulses to start from, (m,) each, N·s. iterations:
+    largest number of iterations. speed: rms speed at which the iterations end, m/s.
     """
     rows, v = problem.rows, problem.solver_bodies.copy()
     rows = rows._replace(impulse=np.column_stack([normal, tangent]))

@@ -130,8 +130,8 @@ def hopper(
 ) -> State:
     """Circles on a jittered lattice above a funnel with a hole in the middle, through which they fall onto the floor.
 
-    opening: width of the hole in largest radii; below about 8 arches of circles may block it. steepness: of the two
-    sides over the floor, degrees. radius, options: those of `lattice_in_box`.
+    opening: width of the hole in largest radii; below about 8 arches of circles may block it. steepness: angle of the
+    two sides over the floor, degrees. radius, options: those of `lattice_in_box`.
     """
     _, high = _checked_radius(radius)
     number("opening", opening, above=0)
@@ -140,7 +140,7 @@ def hopper(
     _, _, width, height = heap.world.box
     width = max(width, (opening + 4.0) * high)
     hole = 0.5 * opening * high
-    # What falls through finds room below: a heap of all circles fills less than the height that they had.
+    # There is space below for circles that fall through: the heap of all circles is lower than the lattice.
     foot, drop = height, math.tan(angle) * (0.5 * width - hole)
     ends = [(0.0, foot + drop), (0.5 * width - hole, foot), (0.5 * width + hole, foot), (width, foot + drop)]
     shift = (0.5 * (width - heap.world.box[2]), foot + drop + high)

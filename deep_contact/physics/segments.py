@@ -45,14 +45,14 @@ reaches of the circle. In such a gap a circle sinks by a hundredth of the slop."
 class Segments(NamedTuple):
     """The segments of a world, and a grid that lists, for each of its cells, the segments within reach."""
 
-    line: np.ndarray  # (S, 5)
+    line: np.ndarray  # (S, 5): two ends, m, and the speed of the surface, m/s
     start: np.ndarray  # (rows · columns + 1,): `near[start[c]:start[c + 1]]` are within reach of cell c
     near: np.ndarray  # segments within reach, for each cell in their order
     every: np.ndarray  # (S,): indices of all segments
     first: np.ndarray  # (2 S + 1,): `hiding[first[e]:first[e + 1]]` may hide end e = 2 s + 0 or 1 of segment s
     hiding: np.ndarray  # segments that may hide an end, for each end in their order
     grid: tuple  # (x, y) of its corner, m, cells a metre, columns, rows
-    reach: float  # m
+    reach: float  # reach of the grid, m
 
 
 NO_SEGMENTS = Segments(

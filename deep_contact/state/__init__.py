@@ -178,7 +178,7 @@ class State:
         return f"State({self.name!r}, {', '.join(self._summary().values())})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: numbers, and a picture of circles and impulses."""
+        """HTML for notebooks: numbers, and a picture of circles and impulses."""
         from deep_contact import plotting  # from the package, since plotting is a layer above states
 
         picture = ""

@@ -90,11 +90,11 @@ def checked_world(world: World) -> dict:
 
 
 def check_bodies(bodies: Bodies) -> Bodies:
-    """Own, contiguous float64 copies of all fields, validated.
+    """The bodies, validated, with contiguous float64 copies of all arrays.
 
     Raises ValueError naming the field, the body and the value.
     """
-    if not isinstance(bodies, Bodies):  # the text of all arrays takes longer than their checks
+    if not isinstance(bodies, Bodies):  # not by `expect`, whose message would take longer than the checks
         raise ValueError(f"bodies: expected Bodies, as dc.make_bodies makes them, got {brief(bodies)}")
     n = _length("bodies.mass", bodies.mass)
     # The radius first: if a mass was computed from it, the radius is at fault.
@@ -106,7 +106,7 @@ def check_bodies(bodies: Bodies) -> Bodies:
 
 
 def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Contacts:
-    """Own, contiguous copies of all fields in sweep order (by body_a, body_b), validated against the bodies.
+    """The contacts, validated against the bodies, with contiguous copies of all arrays, sorted by (body_a, body_b).
 
     segments: number of segments of the world. Raises ValueError naming the field, the contact and the value.
     """
@@ -294,7 +294,7 @@ def _length(name: str, values) -> int:
     """Length of a one-dimensional array."""
     try:
         shape = np.shape(values)
-    except ValueError:  # rows of unlike lengths
+    except ValueError:  # ragged rows
         shape = ()
     if len(shape) != 1:  # checked first, since NumPy takes milliseconds to print an array
         raise ValueError(f"{name}: expected an array of one dimension, got {brief(values)}")
