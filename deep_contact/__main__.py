@@ -13,10 +13,9 @@ from collections.abc import Sequence
 from decimal import Decimal
 from pathlib import Path
 
-from deep_contact.constants import VERSION
-from deep_contact.io import shipped
+from deep_contact.io import scripts, shipped
 from deep_contact.io.files import FileError, check_writable
-from deep_contact.reporting import scripts
+from deep_contact.state.constants import VERSION
 
 # Modules that take time to import are imported by the command that needs them: --help and --version are immediate.
 
@@ -167,9 +166,9 @@ def _add_trade(parser: argparse.ArgumentParser) -> None:
 
 def _simulate(args) -> int:
     import deep_contact as dc
-    from deep_contact.physics.solvers import describe
-    from deep_contact.state.notebook import counted
-    from deep_contact.validation import expect
+    from deep_contact.solvers import describe
+    from deep_contact.state.html import counted
+    from deep_contact.state.validation import expect
 
     out = Path(args.out or "")
     if args.out is not None:  # before the run, not after it
@@ -216,8 +215,8 @@ def _method(args, scene) -> dict:
     from dataclasses import replace
 
     import deep_contact as dc
-    from deep_contact.physics.solvers import METHODS
-    from deep_contact.validation import expect, one_of
+    from deep_contact.solvers import METHODS
+    from deep_contact.state.validation import expect, one_of
 
     names = ("solver", "sweeps", "tolerance", "warm_start")
     options = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
@@ -234,7 +233,7 @@ def _trade(args) -> int:
     from functools import partial
 
     import deep_contact as dc
-    from deep_contact.validation import expect, one_of
+    from deep_contact.state.validation import expect, one_of
 
     suffix = Path(args.out or "x.json").suffix
     expect(suffix in (".png", ".json"), f"--out: expected a file that ends in .png, .json, got {args.out!r}")
@@ -260,8 +259,8 @@ def _scene(args):
     from dataclasses import replace
 
     import deep_contact as dc
-    from deep_contact.physics.load import load_of
-    from deep_contact.validation import expect, integer
+    from deep_contact.starts.changed_load import load_of
+    from deep_contact.state.validation import expect, integer
 
     if args.sweeps is not None:
         integer("--sweeps", args.sweeps, least=1)
@@ -320,7 +319,7 @@ def _compile(kind: str) -> float:
     import time
 
     import deep_contact as dc
-    from deep_contact.physics.solvers import METHODS
+    from deep_contact.solvers import METHODS
 
     begun, (scene, options) = time.perf_counter(), KINDS[kind]
     if "method" in options:

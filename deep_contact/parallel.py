@@ -17,7 +17,7 @@ from contextlib import closing, contextmanager, nullcontext
 
 import numpy as np
 
-from deep_contact.validation import integer
+from deep_contact.state.validation import integer
 
 
 def cores() -> int:

@@ -18,7 +18,7 @@ from mkdocs.structure.files import File
 from PIL import Image
 
 import deep_contact
-from deep_contact.io import lazy
+from deep_contact import lazy
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "docs"))
@@ -76,7 +76,7 @@ def on_files(files, config):
         content = f"# {task}\n\n{_table_of(names.split())}{blocks}"
         files.append(File.generated(config, f"api/{reference.page_of(task)}.md", content=content))
     for name in MODULES:
-        files.append(File.generated(config, PAGES[name], content=f"# dc.{name}\n\n::: {PLACES[name]}\n"))
+        files.append(File.generated(config, PAGES[name], content=f"# dc.{name}\n\n::: {PLACES[name]}\n{_handed_on(name)}"))
     files.append(File.generated(config, "api/index.md", content=_public_names()))
     for path in (ROOT / "data" / "reference").glob("*.png"):
         files.append(File.generated(config, f"reference/{path.name}", abs_src_path=str(path)))
@@ -105,6 +105,18 @@ def on_page_markdown(markdown, page, config, files):
     markdown = re.sub(r"\(((?:gallery/)?\w+)\.py\)", r"(\1.md)", markdown)
     markdown = markdown.replace("](../deep_contact/__init__.py)", "](api/index.md)")
     return markdown.replace("](../data/reference/", "](reference/")
+
+
+def _handed_on(name: str) -> str:
+    """What a module imports when it is first used, as blocks, but for what has its place on the page of a task."""
+    module = getattr(deep_contact, name)
+    homes = lazy.homes(module.__file__) if hasattr(module, "__getattr__") else {}
+    places = [
+        f"{origin}.{of}"
+        for public, (origin, of) in homes.items()
+        if not inspect.ismodule(getattr(module, public))
+    ]
+    return "".join(f"\n::: {place}\n" for place in places if place not in PLACES.values())
 
 
 def _order() -> list[str]:

@@ -21,8 +21,8 @@ from string import Formatter
 
 import numpy as np
 
-from deep_contact.constants import TIME_STEP
-from deep_contact.presets import PRESETS
+from deep_contact.accuracy.presets import PRESETS
+from deep_contact.state.constants import TIME_STEP
 from deep_contact.studies.chapter_5 import (
     NETWORKS,
     READ_NETWORK,

@@ -7,7 +7,7 @@ import re
 
 import griffe
 
-from deep_contact import constants
+from deep_contact.state import constants
 
 TASKS = {
     "Make a scene": (
@@ -21,7 +21,7 @@ TASKS = {
     "Measure": (
         "forces stress mean_stress coordination neighbours contact_table measure_trade load_trade experiments peers"
     ),
-    "Solve one step": "solve_contacts solve_exactly force_bounds warm_start physics sph",
+    "Solve one step": "solve_contacts solve_exactly force_bounds warm_start analysis solvers sph",
     "Networks": "load_model cnn",
     "Files": "read_state write_state load_trajectory sample_file",
     "Pictures": "film plotting figures results",

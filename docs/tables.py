@@ -14,11 +14,11 @@ import sys
 from collections import Counter
 
 import measured
+from deep_contact.accuracy.presets import PRESETS
+from deep_contact.figures import results, staleness
+from deep_contact.figures.figure import cell
 from deep_contact.io.files import write_bytes
-from deep_contact.presets import PRESETS
-from deep_contact.reporting import results, staleness
-from deep_contact.reporting.figures import cell
-from deep_contact.run_errors import ERRORS
+from deep_contact.measure.errors import ERRORS
 from deep_contact.studies import verdicts
 from deep_contact.studies.starts import READ
 from measured import REFERENCE, ROOT, stored

@@ -18,10 +18,10 @@ import time
 from datetime import timedelta
 from pathlib import Path
 
-from deep_contact.reporting import staleness
-from deep_contact.reporting.figures import INTERRUPTED, common_arguments
-from deep_contact.reporting.results import REFERENCE
-from deep_contact.reporting.scripts import choose, find, stem
+from deep_contact.figures import staleness
+from deep_contact.figures.figure import INTERRUPTED, common_arguments
+from deep_contact.figures.results import REFERENCE
+from deep_contact.io.scripts import choose, find, stem
 
 INTERRUPTS = (INTERRUPTED, -signal.SIGINT)
 """Exit statuses of a script that Ctrl-C has ended; the second is that of a script that could not catch it yet."""

@@ -19,11 +19,12 @@ from itertools import product
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import peers
-from deep_contact.constants import TIME_STEP
-from deep_contact.physics.solvers import PGS, BatchedPGS
-from deep_contact.reporting import Claim, Figure, figures
-from deep_contact.state import State
+from deep_contact import figures
+from deep_contact.figures import Claim, Figure
+from deep_contact.measure import peers
+from deep_contact.solvers import PGS, BatchedPGS
+from deep_contact.state.constants import TIME_STEP
+from deep_contact.state.state import State
 from deep_contact.studies import piles, timing
 
 POSITION_SWEEPS = 3

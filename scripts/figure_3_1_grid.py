@@ -3,8 +3,9 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import sph
-from deep_contact.reporting import Figure, figures, plotting
+from deep_contact import figures, sph
+from deep_contact.figures import Figure
+from deep_contact.plot import plotting
 
 
 def compute(options, seed, jobs, progress):

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from deep_contact import sph
-from deep_contact.reporting import Figure, figures, plotting
+from deep_contact import figures, sph
+from deep_contact.figures import Figure
+from deep_contact.plot import plotting
 
 
 def compute(options, seed, jobs, progress):

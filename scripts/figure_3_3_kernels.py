@@ -5,8 +5,9 @@ from itertools import product
 import numpy as np
 from scipy.integrate import quad
 
-from deep_contact import sph
-from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact import figures, sph
+from deep_contact.figures import Claim, Figure
+from deep_contact.plot import plotting
 
 SPACES = {"the plane": lambda r: 2 * np.pi * r, "space": lambda r: 4 * np.pi * r**2}
 """Where a kernel is integrated -> size of the shell at a distance."""

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from deep_contact import sph
-from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact import figures, sph
+from deep_contact.figures import Claim, Figure
+from deep_contact.plot import plotting
 
 DIMENSIONS = {"3": "in space, the constants of Eq 3.9 and 3.12", "2": "on the plane"}
 CENTRE = 1e-9

@@ -1,6 +1,7 @@
 """python scripts/figure_3_7_baselines.py: mean θ by sweep from None, Builtin and Copy."""
 
-from deep_contact.reporting import Claim, figures
+from deep_contact import figures
+from deep_contact.figures import Claim
 from deep_contact.studies import starts, verdicts
 
 

@@ -3,7 +3,7 @@
 The thesis does not print d and h of this figure. Its authors' code had d = 0.75 m with h = 0.5 m and a spline.
 """
 
-from deep_contact.reporting import figures
+from deep_contact import figures
 from deep_contact.studies import starts, verdicts
 
 AUTHORS = "SPH, spline, d = 0.75 m, h = 0.5 m"

@@ -3,12 +3,14 @@
 import numpy as np
 
 import deep_contact as dc
+from deep_contact import figures
 from deep_contact.cnn.images import label_image
+from deep_contact.figures import Claim, Figure
 from deep_contact.parallel import seeds
-from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact.plot import plotting
+from deep_contact.sph.start import Sph
 from deep_contact.studies import chapter_4 as worked
 from deep_contact.studies import chapter_5, starts, verdicts
-from deep_contact.warm_start import Sph
 
 GRID, CONTACTS = "error of grid values", "error of λ at contacts"
 NETWORK = "network"

@@ -4,8 +4,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from deep_contact import parallel
-from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact import figures, parallel
+from deep_contact.figures import Claim, Figure
+from deep_contact.plot import plotting
 from deep_contact.studies import chapter_4 as worked
 
 ACTIVATIONS: dict[str, tuple[Callable, Callable]] = {

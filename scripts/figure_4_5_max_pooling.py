@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact import figures
+from deep_contact.figures import Claim, Figure
+from deep_contact.plot import plotting
 from deep_contact.studies import chapter_4 as worked
 
 

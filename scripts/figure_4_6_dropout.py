@@ -3,7 +3,9 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact import figures
+from deep_contact.figures import Claim, Figure
+from deep_contact.plot import plotting
 from deep_contact.studies import chapter_4 as worked
 from deep_contact.studies import chapter_5
 

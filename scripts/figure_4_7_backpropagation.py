@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact import figures
+from deep_contact.figures import Claim, Figure
+from deep_contact.plot import plotting
 
 ROUNDING = 1e-12
 """Largest relative difference that counts as rounding, in sums of a few products in float64."""

@@ -9,18 +9,22 @@ from time import process_time
 
 import numpy as np
 
-from deep_contact import parallel
+from deep_contact import figures, parallel
 from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.images import ImageSpec
 from deep_contact.cnn.model_file import ModelFileError
-from deep_contact.physics.contact_solver import projected
-from deep_contact.physics.engine import solve, step_problem
-from deep_contact.physics.solvers import PGS
-from deep_contact.reporting import Figure, figures, plotting
-from deep_contact.state import State
+from deep_contact.cnn.start import Cnn
+from deep_contact.figures import Figure
+from deep_contact.plot import plotting
+from deep_contact.solvers import PGS
+from deep_contact.sph.start import Copy, Sph, solved_impulses
+from deep_contact.starts.classical import Builtin, NoStart
+from deep_contact.starts.names import WarmStart
+from deep_contact.state.state import State
+from deep_contact.stepping.problem import solve, step_problem
+from deep_contact.stepping.rows import projected
 from deep_contact.studies import chapter_5, piles, starts, timing, verdicts
 from deep_contact.studies.starts import THRESHOLD, sweeps_to
-from deep_contact.warm_start import Builtin, Cnn, Copy, NoStart, Sph, WarmStart, solved_impulses
 
 TITLE = "Does a network's start save time to θ < 6e-5 N·s?"
 COLOURS = {"splat": plotting.SKY, "network": plotting.PURPLE, "gather": plotting.ORANGE, "solve": plotting.GREY}

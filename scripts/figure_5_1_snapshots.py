@@ -1,6 +1,6 @@
 """python scripts/figure_5_1_snapshots.py: snapshots of the experiment's scene, coloured by impulse."""
 
-from deep_contact.reporting import figures
+from deep_contact import figures
 from deep_contact.studies import starts
 
 FIGURE = starts.snapshots_figure(

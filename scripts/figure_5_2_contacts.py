@@ -8,8 +8,9 @@ import numpy as np
 from scipy.stats import linregress
 
 import deep_contact as dc
-from deep_contact import parallel
-from deep_contact.reporting import Figure, figures, plotting
+from deep_contact import figures, parallel
+from deep_contact.figures import Figure
+from deep_contact.plot import plotting
 from deep_contact.studies import starts, verdicts
 
 

@@ -1,6 +1,7 @@
 """python scripts/figure_5_4_poly6.py: poly6, support h at d = 0.25 and spacing d at h = d."""
 
-from deep_contact.reporting import Claim, figures
+from deep_contact import figures
+from deep_contact.figures import Claim
 from deep_contact.studies import starts, verdicts
 from deep_contact.studies.starts import grid_of
 

@@ -1,6 +1,6 @@
 """python scripts/figure_5_5_spiky.py: spiky, support h at d = 0.25 and spacing d at h = d."""
 
-from deep_contact.reporting import figures
+from deep_contact import figures
 from deep_contact.studies import starts, verdicts
 from deep_contact.studies.starts import grid_of
 

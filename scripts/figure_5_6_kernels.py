@@ -1,6 +1,6 @@
 """python scripts/figure_5_6_kernels.py: poly6 at d = h = 0.5 against spiky at d = h = 0.25, both read both ways."""
 
-from deep_contact.reporting import figures
+from deep_contact import figures
 from deep_contact.studies import starts, verdicts
 
 BEST = {"poly6": 0.5, "spiky": 0.25}

@@ -1,6 +1,6 @@
 """python scripts/figure_5_7_starts.py: None, Builtin, SPH at d = h = 0.5 and Copy."""
 
-from deep_contact.reporting import figures
+from deep_contact import figures
 from deep_contact.studies import starts, verdicts
 
 

@@ -2,8 +2,9 @@
 
 from collections.abc import Iterator, Mapping
 
-from deep_contact.reporting import Figure, figures
-from deep_contact.reporting.figures import Claim
+from deep_contact import figures
+from deep_contact.figures import Figure
+from deep_contact.figures.results import Claim
 from deep_contact.studies import chapter_5, starts, verdicts
 from deep_contact.studies.chapter_5 import ReadBySharing
 from deep_contact.studies.starts import READ

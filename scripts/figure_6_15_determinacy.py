@@ -4,17 +4,19 @@ from itertools import chain
 
 import numpy as np
 
-from deep_contact import parallel
-from deep_contact.bounds import force_bounds
-from deep_contact.physics import engine, metrics
-from deep_contact.physics.exact import solve_exactly
-from deep_contact.physics.scenes import circles_in_box
-from deep_contact.physics.solvers import NNCG, PGS
-from deep_contact.reporting import Claim, Figure, figures, plotting
-from deep_contact.simulation import simulate, solve_contacts
-from deep_contact.state import StateWithContacts
+from deep_contact import figures, parallel
+from deep_contact.analysis.bounds import force_bounds
+from deep_contact.analysis.exact import solve_exactly
+from deep_contact.cnn.start import Cnn, FarFieldNoPast
+from deep_contact.figures import Claim, Figure
+from deep_contact.plot import plotting
+from deep_contact.run.one_scene import simulate, solve_contacts
+from deep_contact.scenes import circles_in_box
+from deep_contact.solvers import NNCG, PGS
+from deep_contact.starts.classical import Support
+from deep_contact.state.state import StateWithContacts
+from deep_contact.stepping import metrics, problem
 from deep_contact.studies import piles
-from deep_contact.warm_start import Cnn, FarFieldNoPast, Support
 
 SHARES = {"median contact": 50, "90th percentile": 90}
 """Name -> percentile of the contacts of a pile."""
@@ -75,7 +77,7 @@ def measure(past: StateWithContacts, contacts: int, seed: int, models: list[str]
     }
     starts = {f"network, {name}": Cnn(name)(past, pgs) for name in models[:-1]}
     starts |= {f"network, {name}": FarFieldNoPast(name)(state, pgs) for name in models[-1:]}
-    answers |= {name: engine.solve(past, PGS(sweeps=0), *start) for name, start in starts.items()}
+    answers |= {name: problem.solve(past, PGS(sweeps=0), *start) for name, start in starts.items()}
     errors = {
         name: [
             float(np.median(np.abs(answer.normal_impulses - normal)) / normal.mean()),

@@ -4,12 +4,14 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact import trade
-from deep_contact.physics.scenes import drum, hopper, terrain
-from deep_contact.presets import PRESETS, excess
-from deep_contact.reporting import Claim, Figure, figures, plotting
-from deep_contact.scene_numbers import scene_numbers
-from deep_contact.stiffness import stiffness
+from deep_contact import figures
+from deep_contact.accuracy.presets import PRESETS, excess
+from deep_contact.accuracy.scene_numbers import scene_numbers
+from deep_contact.accuracy.stiffness import stiffness
+from deep_contact.figures import Claim, Figure
+from deep_contact.measure import setting_runs, settings
+from deep_contact.plot import plotting
+from deep_contact.scenes import drum, hopper, terrain
 from deep_contact.studies import runs
 
 SCENES = {
@@ -31,10 +33,10 @@ def scene(name, n_bodies, seed):
 
 def settings_of(start):
     """The reference's setting of a scene, then ours, the presets' among them, then other engines'."""
-    numbers, stiff, (others, _) = scene_numbers(start), stiffness(start), trade.rivals(start)
+    numbers, stiff, (others, _) = scene_numbers(start), stiffness(start), setting_runs.rivals(start)
     tuned = [setting | KNOBS[setting["engine"]] for setting in others]
-    ours = *trade.settings_of_presets(numbers, stiff).values(), *trade.ladder(numbers)
-    return [trade.reference_of(numbers, stiff), *ours, *others, *tuned]
+    ours = *settings.settings_of_presets(numbers, stiff).values(), *settings.ladder(numbers)
+    return [settings.reference_of(numbers, stiff), *ours, *others, *tuned]
 
 
 def compute(options, seed, jobs, progress):
@@ -46,12 +48,12 @@ def compute(options, seed, jobs, progress):
 def measure(name, n, options, seed, jobs):
     """Rows and presets of a scene of n circles, as in the study of runs, and the settings that `accuracy=` takes."""
     start, common = scene(name, n, seed), {"work": Path(options["work"]), "seconds": options["seconds"], "seed": seed}
-    cases = {(name, n, trade.name_of(one, start.dt)): (one, options["seeds"][str(n)]) for one in settings_of(start)}
+    cases = {(name, n, settings.name_of(one, start.dt)): (one, options["seeds"][str(n)]) for one in settings_of(start)}
     _, *others = runs.observed_rows(scene, cases, **common, jobs=jobs).items()
     rows = runs.timed_rows(scene, dict(others), dict.fromkeys(cases, options["timed"][str(n)]), **common)
     rows = [row | {"kind": "plain"} for row in rows]  # `runs.presets` compares engines on plain piles
-    taken = trade.settings_of_presets(scene_numbers(start), stiffness(start))
-    chosen = {preset: trade.name_of(setting, start.dt) for preset, setting in taken.items()}
+    taken = settings.settings_of_presets(scene_numbers(start), stiffness(start))
+    chosen = {preset: settings.name_of(setting, start.dt) for preset, setting in taken.items()}
     return {"scene": name, "n_bodies": n, "rows": rows, "presets": runs.presets(rows), "chosen": chosen}
 
 

@@ -1,6 +1,6 @@
 """python scripts/figure_6_17_digits.py: how exact a start has to be: Copy rounded to some digits, beside Builtin."""
 
-from deep_contact.reporting import figures
+from deep_contact import figures
 from deep_contact.studies import starts, verdicts
 
 DIGITS = (1, 2, 3, 4)

@@ -4,9 +4,11 @@ from itertools import product
 
 import numpy as np
 
-from deep_contact import peers, trade
-from deep_contact.presets import PRESETS
-from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact import figures
+from deep_contact.accuracy.presets import PRESETS
+from deep_contact.figures import Claim, Figure
+from deep_contact.measure import peers, settings, trade
+from deep_contact.plot import plotting
 from deep_contact.studies import runs
 
 SHOWN = {"energy": "kinetic energy", "penetration_max": "deepest penetration"}
@@ -16,7 +18,7 @@ def compute(options, seed, jobs, progress):
     """The study's rows on plain piles, and its presets."""
     study = runs.read_study(options["results"])
     rows = [
-        {key: row[key] for key in ("n_bodies", "name", "us", "errors")} | {"group": trade.group_of(row["setting"])}
+        {key: row[key] for key in ("n_bodies", "name", "us", "errors")} | {"group": settings.group_of(row["setting"])}
         for row in study["plain"]
         if row["us"] is not None
     ]

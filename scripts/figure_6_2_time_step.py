@@ -2,9 +2,11 @@
 
 import numpy as np
 
-from deep_contact import run_errors
-from deep_contact.constants import TIME_STEP
-from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact import figures
+from deep_contact.figures import Claim, Figure
+from deep_contact.measure import errors
+from deep_contact.plot import plotting
+from deep_contact.state.constants import TIME_STEP
 from deep_contact.studies import runs
 
 SHOWN = {
@@ -72,7 +74,7 @@ def draw(data, options):
     for ax, (name, text) in zip(panels.flat, SHOWN.items()):
         for (n, rows), colour in zip(sizes.items(), plotting.shades(len(sizes))):
             steps, values = zip(*((row["dt"], row["errors"][name]) for row in rows if row["errors"][name]))
-            values, reach = zip(*map(run_errors.with_reach, values))
+            values, reach = zip(*map(errors.with_reach, values))
             look = {"color": colour, "marker": "o", "markersize": 4, "label": f"{n:,} circles"}
             ax.errorbar(steps, values, np.concatenate(reach, axis=1), **look)
         for dt, look, line in ((TIME_STEP, "--", "10 ms"), (runs.REFERENCE["dt"], ":", "Δt of the reference")):

@@ -5,10 +5,11 @@ from itertools import product
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import parallel
-from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact import figures, parallel
+from deep_contact.figures import Claim, Figure
+from deep_contact.plot import plotting
+from deep_contact.sph.start import Sph
 from deep_contact.studies import starts, verdicts
-from deep_contact.warm_start import Sph
 
 SIBLING = {
     f"d = {d:g}, h = {h:g}": loss

@@ -4,11 +4,12 @@ from itertools import groupby, product
 
 import numpy as np
 
-from deep_contact import parallel
-from deep_contact.reporting import Claim, Figure, figures, plotting
+from deep_contact import figures, parallel
+from deep_contact.figures import Claim, Figure
+from deep_contact.plot import plotting
+from deep_contact.state.validation import one_of
 from deep_contact.studies import extremes
 from deep_contact.studies.extremes import ABSENT, DEGRADED, ENGINES, FAILED, QUANTITIES, REFUSED, SAFE
-from deep_contact.validation import one_of
 
 ROUNDING = 1e-9
 """Rise of the energy that rounding may cause, as a share of its initial value."""

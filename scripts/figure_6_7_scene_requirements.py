@@ -10,12 +10,14 @@ from dataclasses import replace
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import constants, parallel
-from deep_contact.physics.ready import ready
-from deep_contact.physics.solvers import PGS
-from deep_contact.reporting import Claim, Figure, figures, plotting
-from deep_contact.simulation import simulate, solve_contacts
-from deep_contact.state import State
+from deep_contact import figures, parallel
+from deep_contact.figures import Claim, Figure
+from deep_contact.plot import plotting
+from deep_contact.run.one_scene import simulate, solve_contacts
+from deep_contact.solvers import PGS
+from deep_contact.state import constants
+from deep_contact.state.state import State
+from deep_contact.stepping.prepare import ready
 from deep_contact.studies import piles, timing
 from deep_contact.studies.starts import solved_states
 

@@ -12,16 +12,17 @@ from itertools import product
 
 import numpy as np
 
-from deep_contact import parallel
-from deep_contact.physics import metrics
-from deep_contact.physics.engine import ContactSolution, solve
-from deep_contact.physics.scenes import circles_in_box
-from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
-from deep_contact.reporting import Claim, Figure, figures, plotting
-from deep_contact.run_errors import interval
-from deep_contact.state import State
+from deep_contact import figures, parallel
+from deep_contact.figures import Claim, Figure
+from deep_contact.measure.errors import interval
+from deep_contact.plot import plotting
+from deep_contact.scenes import circles_in_box
+from deep_contact.solvers import NNCG, PGS, PSOR, NesterovPGS
+from deep_contact.state.state import State
+from deep_contact.state.validation import integer
+from deep_contact.stepping import metrics
+from deep_contact.stepping.problem import ContactSolution, solve
 from deep_contact.studies.starts import REFERENCE, solved_states, start_of
-from deep_contact.validation import integer
 
 SOLVERS = {
     "PGS": PGS(),

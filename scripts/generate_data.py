@@ -23,12 +23,13 @@ from pathlib import Path
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import constants, parallel
+from deep_contact import parallel
 from deep_contact.__main__ import BAD_FILE, INTERRUPTED, status_of
 from deep_contact.cnn.dataset import PHASES, phase, simulation_path
 from deep_contact.io import simulation_h5
 from deep_contact.io.simulation_h5 import DataFileError, simulation_info
-from deep_contact.physics import metrics
+from deep_contact.state import constants
+from deep_contact.stepping import metrics
 from deep_contact.studies.piles import SETTLE, packing, without_past
 
 SOLVER = dc.PGS(sweeps=5000, tolerance=constants.THETA_TOLERANCE)

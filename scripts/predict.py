@@ -23,7 +23,7 @@ from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.evaluation import SWEEPS, velocity_errors
 from deep_contact.cnn.inference import FarFieldModel, load_model
 from deep_contact.io.files import replacing
-from deep_contact.reporting import plotting
+from deep_contact.plot import plotting
 
 
 def contact_table(state, predicted, file) -> None:

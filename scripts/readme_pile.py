@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import deep_contact as dc
-from deep_contact.reporting import film
+from deep_contact.plot import film_file
 
 STEPS = 400
 """Number of steps of the run."""
@@ -17,9 +17,9 @@ def main():
     run = dc.simulate(scene, steps=STEPS, record=EVERY, forces=True, accuracy="accurate")
     # Lines as wide as in the pile at rest, so that an impact does not fill the picture.
     at_rest = 25.0 * float(scene.bodies.mass.mean()) * 9.81
-    canvas = film.Canvas(scene.world, size=352, strongest=at_rest, forces=True)
+    canvas = film_file.Canvas(scene.world, size=352, strongest=at_rest, forces=True)
     out = Path(__file__).resolve().parent.parent / "docs" / "pile.gif"
-    film.write_film(out, run.solved, canvas, fps=12)  # the mean forces of each step
+    film_file.write_film(out, run.solved, canvas, fps=12)  # the mean forces of each step
 
 
 if __name__ == "__main__":

@@ -13,13 +13,14 @@ import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from deep_contact import run_errors
-from deep_contact.constants import TIME_STEP
-from deep_contact.presets import PRESETS, TABLE, excess
-from deep_contact.reporting import Claim, Figure, figures, results
+from deep_contact import figures
+from deep_contact.accuracy.presets import PRESETS, TABLE, excess
+from deep_contact.figures import Claim, Figure, results
+from deep_contact.measure.errors import ERRORS
+from deep_contact.measure.settings import name_of
+from deep_contact.state.constants import TIME_STEP
 from deep_contact.studies import runs
 from deep_contact.studies.known import error as known_error
-from deep_contact.trade import name_of
 
 
 def settings(budgets: dict, **options) -> list[dict]:
@@ -210,7 +211,7 @@ def judged(rows: list[dict]) -> dict:
     ours = {row["name"]: row["setting"] for row in rows if "engine" not in row["setting"]}
     known = {name: runs.rounded(known_error(setting)) for name, setting in ours.items()}
     rows = [row | ({"known": known[row["name"]]} if row["name"] in known else {}) for row in rows]
-    return {"errors": run_errors.ERRORS, "rows": rows, "presets": runs.presets(rows)}
+    return {"errors": ERRORS, "rows": rows, "presets": runs.presets(rows)}
 
 
 def table(data):

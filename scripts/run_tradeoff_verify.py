@@ -12,12 +12,15 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact import presets, trade
-from deep_contact.physics.scenes import drum, hopper, lattice_in_box, terrain
-from deep_contact.presets import PRESETS
-from deep_contact.reporting import Claim, Figure, figures
-from deep_contact.scene_numbers import scene_numbers
-from deep_contact.stiffness import stiffness
+from deep_contact import figures
+from deep_contact.accuracy import presets
+from deep_contact.accuracy.presets import PRESETS
+from deep_contact.accuracy.scene_numbers import scene_numbers
+from deep_contact.accuracy.stiffness import stiffness
+from deep_contact.figures import Claim, Figure
+from deep_contact.measure import measurement
+from deep_contact.measure.settings import name_of, reference_of, setting_of
+from deep_contact.scenes import drum, hopper, lattice_in_box, terrain
 from deep_contact.studies import piles, runs
 
 
@@ -76,7 +79,7 @@ def scene(kind, n_bodies, seed):
 def chosen_by_presets(start):
     """Preset -> (its setting for a scene, its predicted cost of a step, μs)."""
     taken = {preset: presets.decide(start, preset) for preset in PRESETS}
-    return {preset: (trade.setting_of(one.solver, start.dt, one.start), one.us) for preset, one in taken.items()}
+    return {preset: (setting_of(one.solver, start.dt, one.start), one.us) for preset, one in taken.items()}
 
 
 def chosen_by_trade(kind, n, options, seed, jobs):
@@ -84,7 +87,9 @@ def chosen_by_trade(kind, n, options, seed, jobs):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", presets.PresetWarning)
         steps = round(options["seconds"] / scene(kind, n, seed).dt)
-        measured = trade.measure_trade(partial(scene, kind, n), steps=steps, seeds=options["trade_seeds"], jobs=jobs)
+        measured = measurement.measure_trade(
+            partial(scene, kind, n), steps=steps, seeds=options["trade_seeds"], jobs=jobs
+        )
         rows = {preset: measured.chosen(preset) for preset in PRESETS}
     return {preset: (row["setting"], row["us"]) for preset, row in rows.items()}
 
@@ -99,12 +104,12 @@ def compute(options, seed, jobs, progress):
         if kind in options["trades"].get(str(n), []):
             taken["trades"] = chosen_by_trade(kind, n, options, seed, jobs)
         settings = [
-            trade.reference_of(scene_numbers(start), stiffness(start)),
+            reference_of(scene_numbers(start), stiffness(start)),
             *(setting for by in taken.values() for setting, _ in by.values()),
         ]
-        cases |= {(kind, n, trade.name_of(setting, start.dt)): (setting, count) for setting in settings}
+        cases |= {(kind, n, name_of(setting, start.dt)): (setting, count) for setting in settings}
         for by, preset, (setting, us) in ((by, preset, one) for by, of in taken.items() for preset, one in of.items()):
-            key = kind, n, trade.name_of(setting, start.dt)
+            key = kind, n, name_of(setting, start.dt)
             chosen.append((by, key, {"preset": preset, "predicted_us": us}))
             times |= {key: 1} if by == "rows" and kind in options["timed"].get(str(n), []) else {}
     measured = runs.observed_rows(scene, cases, **common, seed=seed, jobs=jobs)

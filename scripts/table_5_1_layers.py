@@ -1,6 +1,7 @@
 """python scripts/table_5_1_layers.py: layers and shapes of the built thesis network beside the thesis's table."""
 
-from deep_contact.reporting import Claim, Figure, figures
+from deep_contact import figures
+from deep_contact.figures import Claim, Figure
 from deep_contact.studies import chapter_5
 
 MISPRINTS = {f"{kind}: printed, built" for kind in ("Input", "BatchNormalization")}

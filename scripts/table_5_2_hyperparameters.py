@@ -7,8 +7,9 @@ Appendix B for the sizes of the kernels. Its SGD also has decay=1e-6, which lowe
 import shlex
 from collections.abc import Sequence
 
+from deep_contact import figures
 from deep_contact.cnn.backend import one_thread
-from deep_contact.reporting import Claim, Figure, figures
+from deep_contact.figures import Claim, Figure
 from deep_contact.studies import chapter_5
 
 PRINTED, CODE = chapter_5.PRINTED["hyperparameters"], chapter_5.PRINTED["authors' code"]

@@ -11,14 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
+from deep_contact import figures
 from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.evaluation import start_quality
 from deep_contact.cnn.images import ImageSpec, input_image, label_image, read_back
+from deep_contact.figures import Claim, Figure
+from deep_contact.measure.errors import interval
 from deep_contact.parallel import parallel_map, seeds
-from deep_contact.physics.contact_solver import projected
-from deep_contact.reporting import Claim, Figure, figures
+from deep_contact.stepping.rows import projected
 from deep_contact.studies import starts
-from deep_contact.studies.verdicts import FEWEST, interval
+from deep_contact.studies.verdicts import FEWEST
 
 ONE, LARGE, EACH = "one for both", "one for both, as large as two", "one each"
 MAPS = {ONE: [(0, 1)], LARGE: [(0, 1)], EACH: [(0,), (1,)]}

@@ -5,11 +5,11 @@ from itertools import product
 
 import numpy as np
 
-from deep_contact import parallel
-from deep_contact.physics.scenes import circles_in_box
-from deep_contact.presets import PRESETS, PresetWarning
-from deep_contact.reporting import Claim, Figure, figures
-from deep_contact.simulation import simulate
+from deep_contact import figures, parallel
+from deep_contact.accuracy.presets import PRESETS, PresetWarning
+from deep_contact.figures import Claim, Figure
+from deep_contact.run.one_scene import simulate
+from deep_contact.scenes import circles_in_box
 from deep_contact.studies.extremes import mechanical_energy, with_bodies
 
 KEPT = 0.02

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.optimize import bisect, minimize_scalar
 
 import deep_contact as dc
-from deep_contact import peers
-from deep_contact.constants import WALL_SKIN
-from deep_contact.reporting import Claim, Figure, figures
+from deep_contact import figures
+from deep_contact.figures import Claim, Figure
+from deep_contact.measure import peers
+from deep_contact.state.constants import WALL_SKIN
 from deep_contact.studies.known import G, end, scene_of
 
 OURS = "ours"

@@ -6,14 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact import constants, peers
-from deep_contact.physics.collision import Walls, make_contacts, write_geometry
-from deep_contact.physics.engine import ContactSolution, solve
-from deep_contact.physics.segments import segments_in_grid
-from deep_contact.physics.solvers import PGS
-from deep_contact.state import State, World
+from deep_contact.measure import peers
+from deep_contact.solvers import PGS
+from deep_contact.state import constants
 from deep_contact.state.arrays import Bodies, Contacts
 from deep_contact.state.checks import check_state
+from deep_contact.state.state import State
+from deep_contact.state.world import World
+from deep_contact.stepping.contacts import Walls, make_contacts, write_geometry
+from deep_contact.stepping.problem import ContactSolution, solve
+from deep_contact.stepping.segment_grid import segments_in_grid
 
 
 class RecordedStep(NamedTuple):

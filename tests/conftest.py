@@ -14,8 +14,8 @@ import pytest
 from scipy import optimize
 
 import deep_contact as dc
-from deep_contact.physics.lcp import contact_problem
-from deep_contact.run_errors import Observation
+from deep_contact.analysis.lcp import contact_problem
+from deep_contact.measure.errors import Observation
 from deep_contact.studies.starts import solved_states
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,7 +27,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell sets it for 
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-ENGINE_LAST = "reporting/test_readme.py", "physics/", "studies/"
+ENGINE_LAST = "documents/test_readme.py", "stepping/", "solvers/", "starts/", "behaviour/", "studies/"
 """Files whose tests need many kinds of steps, and so run last."""
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from deep_contact.state import State
-from deep_contact.state.checks import check_contacts
+from deep_contact.state.fields import check_contacts
+from deep_contact.state.state import State
 
 SYMMETRIES = tuple(range(8))
 

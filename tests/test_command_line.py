@@ -15,7 +15,7 @@ from deep_contact import __main__ as command_line
 from deep_contact import parallel
 from deep_contact.__main__ import main
 from deep_contact.io.xml_tree import StateFileError
-from deep_contact.physics.solvers import describe
+from deep_contact.solvers import describe
 
 PROBE = '''"""python scripts/figure_9_1_probe.py: what a script sees."""
 import json, sys
@@ -239,7 +239,7 @@ def test_commands_run_in_any_thread(words, tmp_path, monkeypatch):
 
 
 def test_a_pile_of_a_file_whose_gravity_is_taken_away_stays(scene, tmp_path):
-    # Its impulses held it up: kept, they would throw it up (`physics.load`).
+    # Its impulses held it up: kept, they would throw it up (`starts.changed_load`).
     assert main(["simulate", str(scene), "--gravity", "0", "--steps", "2", "--out", str(tmp_path / "x.xml")]) == 0
     assert np.abs(dc.read_state(tmp_path / "x.xml").bodies.velocity).max() < 1e-3
 

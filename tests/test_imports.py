@@ -1,11 +1,16 @@
 """The packages that each job imports: no job loads a package that it does not need."""
 
+import inspect
+from pathlib import Path
+
 import pytest
 from conftest import ROOT, run_python
 
 import deep_contact as dc
 
+PACKAGE = Path(dc.__file__).parent
 HEAVY = {"numpy", "numba", "scipy", "matplotlib", "tensorflow", "keras", "h5py", "lxml"}
+THESIS = {f"deep_contact.{folder}" for folder in ("sph", "cnn", "figures", "studies")}
 HELP = "import runpy, sys; sys.argv = ['x', '--help']; runpy.run_path('{}', run_name='__main__')"
 MAIN = "import sys; from deep_contact.__main__ import main; sys.argv[1:] = ['{}']; main()"
 
@@ -21,7 +26,7 @@ MAIN = "import sys; from deep_contact.__main__ import main; sys.argv[1:] = ['{}'
         # Numba asks for scipy.linalg, which takes a quarter of the time to the first step: see `deep_contact.compiled`.
         (
             "import deep_contact as dc; dc.simulate(dc.column(2), steps=1)",
-            {"tensorflow", "keras", "matplotlib", "h5py", "scipy.linalg", "scipy.spatial"},
+            {"tensorflow", "keras", "matplotlib", "h5py", "scipy.linalg", "scipy.spatial"} | THESIS,
         ),
     ],
 )
@@ -39,6 +44,28 @@ def test_imports_point_down_and_make_no_circle():
 def test_every_public_name_is_there():
     for name in dc.__all__:
         assert getattr(dc, name) is not None
+
+
+EVERY_MODULE = """
+import importlib, inspect, pkgutil
+import deep_contact as dc
+for found in pkgutil.walk_packages(dc.__path__, "deep_contact."):
+    if found.name != "deep_contact.__main__":
+        importlib.import_module(found.name)
+from deep_contact import lazy
+for name, (module, of) in lazy.homes(dc.__file__).items():
+    if not inspect.ismodule(getattr(importlib.import_module(module), of)):
+        assert not inspect.ismodule(getattr(dc, name)), name
+"""
+
+
+def test_no_module_takes_the_place_of_a_public_name():
+    """A package `deep_contact.step` would be what `dc.step` means once it is imported."""
+    run_python("-c", EVERY_MODULE, environment={"TF_CPP_MIN_LOG_LEVEL": "3"})
+    modules = {path.stem for path in PACKAGE.rglob("*.py")} | {
+        path.name for path in PACKAGE.rglob("*") if path.is_dir()
+    }
+    assert not {name for name in dc.__all__ if not inspect.ismodule(getattr(dc, name))} & modules
 
 
 def test_a_public_name_may_differ_from_that_of_its_module():

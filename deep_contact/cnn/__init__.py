@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from deep_contact.io.lazy import attach
+from deep_contact.lazy import attach
 
 if TYPE_CHECKING:
     from deep_contact.cnn import architectures as architectures

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from deep_contact.cnn.backend import keras
 from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec
 from deep_contact.cnn.images import CHANNELS, TARGETS
-from deep_contact.validation import integer, number, one_of
+from deep_contact.state.validation import integer, number, one_of
 
 layers = keras.layers
 

@@ -8,7 +8,7 @@ import sys
 import threading
 from contextlib import contextmanager, suppress
 
-from deep_contact.validation import integer
+from deep_contact.state.validation import integer
 
 _threads: int | None = None
 """Number of threads that `limit_threads` has set. None: TensorFlow chooses."""

@@ -20,7 +20,7 @@ from numba import config, uint64
 from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec
 from deep_contact.compiled import njit
 from deep_contact.compiled.simd import WIDTH, doubled, load_like, most, spread, spread_like, store
-from deep_contact.validation import expect
+from deep_contact.state.validation import expect
 
 
 def layer_shapes(width: int) -> dict[str, list[tuple[int, ...]]]:

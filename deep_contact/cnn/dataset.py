@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.io.simulation_h5 import DataFileError, StoredSimulation, read_simulation, simulation_info
-from deep_contact.state import StateWithContacts
-from deep_contact.validation import integer, one_of
+from deep_contact.state.state import StateWithContacts
+from deep_contact.state.validation import integer, one_of
 
 PHASES = ("impact", "settling", "rest")
 SETTLING, REST = 0.5, 0.05

@@ -7,11 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from deep_contact.cnn.dataset import PHASES, phase
-from deep_contact.physics.engine import solve
-from deep_contact.physics.metrics import velocity_error
-from deep_contact.physics.solvers import PGS
-from deep_contact.state import State
+from deep_contact.solvers import PGS
 from deep_contact.state.checks import check_solution
+from deep_contact.state.state import State
+from deep_contact.stepping.metrics import velocity_error
+from deep_contact.stepping.problem import solve
 
 SWEEPS = (0, 3, 10, 30)
 

@@ -31,7 +31,11 @@ import numpy as np
 from deep_contact.cnn.images import Spec, with_contacts
 from deep_contact.compiled import njit
 from deep_contact.compiled.simd import WIDTH, load, spread, store
-from deep_contact.physics.contact_solver import (
+from deep_contact.sph import Grid
+from deep_contact.sph.grid import ROUNDING, bilinear_weights
+from deep_contact.state.state import State
+from deep_contact.stepping.problem import StepProblem, step_problem
+from deep_contact.stepping.rows import (
     BODY_B,
     N_X,
     N_Y,
@@ -45,10 +49,6 @@ from deep_contact.physics.contact_solver import (
     apply_impulses,
     relative_velocity,
 )
-from deep_contact.physics.engine import StepProblem, step_problem
-from deep_contact.sph import Grid
-from deep_contact.sph.grid import ROUNDING, bilinear_weights
-from deep_contact.state import State
 
 CONTACT_CHANNELS = (
     "density",

@@ -13,11 +13,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from deep_contact.physics.ready import ready
 from deep_contact.sph import Grid, gather, splat
-from deep_contact.state import State, World, native
 from deep_contact.state.checks import check_solution
-from deep_contact.validation import number
+from deep_contact.state.state import State, native
+from deep_contact.state.validation import number
+from deep_contact.state.world import World
+from deep_contact.stepping.prepare import ready
 
 # A particle without a node within h goes to the nearest node, and a particle outside the box to the edge of the box.
 # The contact with a wall lies outside by a part of its penetration: without a node its impulse would be lost.

@@ -1,4 +1,4 @@
-"""A trained network at work: `load_model` and `LearnedModel.predict`, which the starts of `warm_start` call.
+"""A trained network at work: `load_model` and `LearnedModel.predict`, which the starts of `cnn.start` call.
 
 The far-field network runs in Numba (`cnn.convolution`) from the weights in its file. Keras and TensorFlow are imported
 only for networks on images, and for `LearnedModel.network`.
@@ -22,11 +22,11 @@ from deep_contact.cnn.far_field import COARSENING, FarFieldSpec, correct, descri
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, read_model, weights_of
 from deep_contact.cnn.registry import network_file
-from deep_contact.physics.contact_solver import projected
-from deep_contact.physics.engine import StepProblem
-from deep_contact.state import State
 from deep_contact.state.equality import by_value
-from deep_contact.validation import brief, expect, list_of
+from deep_contact.state.state import State
+from deep_contact.state.validation import brief, expect, list_of
+from deep_contact.stepping.problem import StepProblem
+from deep_contact.stepping.rows import projected
 
 _compiling = RLock()
 """Lock of the thread that builds or traces a network, while others wait for the result."""

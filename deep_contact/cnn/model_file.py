@@ -22,7 +22,7 @@ from deep_contact.cnn.images import ImageSpec
 from deep_contact.io import hdf5
 from deep_contact.io.files import FileError, write_bytes
 from deep_contact.state.equality import by_value
-from deep_contact.validation import expect
+from deep_contact.state.validation import expect
 
 FORMAT = 1
 METADATA = "deep_contact"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.io.shipped import ROOT
-from deep_contact.validation import brief, expect
+from deep_contact.state.validation import brief, expect
 
 FOLDER = "DEEP_CONTACT_MODELS"
 """Environment variable: a folder that is searched before the shipped `models/`."""

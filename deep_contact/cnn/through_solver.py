@@ -15,7 +15,10 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.compiled import njit
-from deep_contact.physics.contact_solver import (
+from deep_contact.state.checks import check_solution
+from deep_contact.state.state import State
+from deep_contact.stepping.problem import step_problem
+from deep_contact.stepping.rows import (
     ARM_A,
     ARM_B,
     BODY_A,
@@ -31,9 +34,6 @@ from deep_contact.physics.contact_solver import (
     projected,
     relative_velocity,
 )
-from deep_contact.physics.engine import step_problem
-from deep_contact.state import State
-from deep_contact.state.checks import check_solution
 
 _NOTHING = 1e-12
 """‖v* − v⁻‖, √J, below which there is nothing to solve and the error is 0."""

@@ -19,6 +19,9 @@ PATIENCE = 0.5
 ESTIMATE = "it takes half a minute to a minute; `deep-contact warm-up` does it ahead"
 """What it says of the time."""
 
+PHYSICS = tuple(f"deep_contact.{folder}." for folder in ("stepping", "solvers", "starts", "analysis"))
+"""Modules whose compiling it says."""
+
 # Numba imports scipy.linalg only to know whether it can compile `np.dot`, which takes a quarter of the time to the
 # first step. This package depends on SciPy, and Numba checks again when it compiles a call of BLAS.
 _check, linalg.ensure_blas = linalg.ensure_blas, lambda: None
@@ -48,7 +51,7 @@ class Announcement(event.Listener):
         self.begun = self.begun if self.running else time.perf_counter()
         self.running += 1
         module = str(event.data["dispatcher"].py_func.__module__)  # Numba makes functions of no module
-        if time.perf_counter() - self.begun >= PATIENCE and "deep_contact.physics." in module:
+        if time.perf_counter() - self.begun >= PATIENCE and module.startswith(PHYSICS):
             self.make()
 
     def on_end(self, event) -> None:

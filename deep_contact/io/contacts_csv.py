@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from deep_contact.analysis.contact_forces import forces, name_of
 from deep_contact.io.files import replacing
-from deep_contact.physics.forces import forces, name_of
-from deep_contact.physics.ready import ready
-from deep_contact.state import State
+from deep_contact.state.state import State
+from deep_contact.stepping.prepare import ready
 
 
 def contact_table(state: State, path=None) -> np.ndarray:

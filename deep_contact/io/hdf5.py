@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 from deep_contact.io.files import refuse_special
-from deep_contact.validation import expect
+from deep_contact.state.validation import expect
 
 MOST_PACKED = 1032
 """Most bytes that gzip packs into one byte: an array with more bytes for each stored byte is not in its file."""

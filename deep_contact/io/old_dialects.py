@@ -11,8 +11,8 @@ import re
 
 from lxml import etree
 
-from deep_contact import constants
 from deep_contact.io.xml_tree import by_index, expect, quote, read_integer, read_text, refuse_attributes, to_float
+from deep_contact.state import constants
 
 BODY = dict(mass="value", position="x y", velocity="x y", orientation="theta", inertia="value", spin="omega")
 CONTACT = dict(position="x y", normal="x y", impulse="n t", start="n t")

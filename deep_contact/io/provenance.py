@@ -11,8 +11,8 @@ from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
-from deep_contact.constants import VERSION
 from deep_contact.io.shipped import find
+from deep_contact.state.constants import VERSION
 
 PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotlib")
 """Packages whose versions are recorded, where they are installed."""
@@ -44,7 +44,7 @@ def commit() -> str:
     """
     try:
         # An installed package may lie inside some other project's checkout: only a tracked one has a commit.
-        _git("ls-files", "--error-unmatch", "constants.py")
+        _git("ls-files", "--error-unmatch", "__init__.py")
         digits = _git("rev-parse", "HEAD")
         changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":(top,exclude)data/reference")
     except (OSError, subprocess.SubprocessError):

@@ -19,7 +19,7 @@ def sample_file(name: str = "impact_154") -> Path:
     name: "impact_154", "settling_349", "rest_362", …: the phase of the fall, and the step. Raises ValueError naming
     the samples, and FileNotFoundError where none came with the package.
     """
-    from deep_contact.validation import one_of
+    from deep_contact.state.validation import one_of
 
     return ROOT / "data" / "sample" / f"{one_of('sample', name, sample_names())}{_STATE}"
 

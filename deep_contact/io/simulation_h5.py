@@ -26,13 +26,15 @@ import numpy as np
 
 from deep_contact.io import hdf5
 from deep_contact.io.files import FileError, write_bytes
-from deep_contact.physics.solvers import METHODS, solver_from
-from deep_contact.state import State, StateWithContacts, World
+from deep_contact.solvers import METHODS, solver_from
 from deep_contact.state.arrays import Bodies, Contacts
-from deep_contact.state.checks import check_state, contact_faults
+from deep_contact.state.checks import check_state
 from deep_contact.state.equality import by_value
+from deep_contact.state.fields import contact_faults
 from deep_contact.state.scales import ContactScales
-from deep_contact.validation import expect, number, one_of, refuse_where
+from deep_contact.state.state import State, StateWithContacts
+from deep_contact.state.validation import expect, number, one_of, refuse_where
+from deep_contact.state.world import World
 
 FORMAT = "deep-contact simulation"
 VERSION = 1

@@ -15,17 +15,19 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.constants import WALL_SKIN
 from deep_contact.io import xml_tree
 from deep_contact.io.files import read_bytes, write_bytes
 from deep_contact.io.old_dialects import BODY, CONTACT, modernise
 from deep_contact.io.xml_tree import Rows, StateFileError, expect, fault, read_integer, read_number, read_text
-from deep_contact.physics.solvers import METHODS, solver_from
-from deep_contact.state import State, World
+from deep_contact.solvers import METHODS, solver_from
 from deep_contact.state.arrays import SIDES, WALL_NORMALS, Bodies, Contacts, corners, no_contacts
-from deep_contact.state.checks import check_state, is_unit
+from deep_contact.state.checks import check_state
+from deep_contact.state.constants import WALL_SKIN
+from deep_contact.state.fields import is_unit
 from deep_contact.state.scales import ContactScales, mean
-from deep_contact.validation import integer
+from deep_contact.state.state import State
+from deep_contact.state.validation import integer
+from deep_contact.state.world import World
 
 _INERTIA_TOLERANCE = 1e-3
 """Largest relative difference between a stored inertia and m r²/2. Old files hold float32."""

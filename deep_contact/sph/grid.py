@@ -23,7 +23,7 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.sph.kernels import as_floats, check_support_radius, kernel_number, profile
-from deep_contact.validation import expect, integer, number, one_of, refuse_where, several
+from deep_contact.state.validation import expect, integer, number, one_of, refuse_where, several
 
 ROUNDING = 1e-9
 """Tolerance for rounding, in spacings. A point that lies at most this far beyond the last node counts as a point of the

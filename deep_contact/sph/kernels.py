@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from deep_contact.compiled import njit
-from deep_contact.validation import brief, expect, number, one_of, real_numbers, refuse_where
+from deep_contact.state.validation import brief, expect, number, one_of, real_numbers, refuse_where
 
 GAUSSIAN_DECAY = 9.0
 """The Gaussian is exp(-9 q²): the support radius h is 3 √2 standard deviations, σ = 0.2357 h."""

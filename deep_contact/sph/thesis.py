@@ -6,7 +6,7 @@ import numpy as np
 
 from deep_contact.sph import kernels
 from deep_contact.sph.grid import Grid, image_of, positions
-from deep_contact.validation import expect, refuse_where
+from deep_contact.state.validation import expect, refuse_where
 
 
 def splat_by_tree(grid: Grid, position, values, *, h: float, kernel="poly6") -> np.ndarray:

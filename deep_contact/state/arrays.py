@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact.state import notebook
+from deep_contact.state import html
 from deep_contact.state.equality import by_value
 
 BOTTOM, RIGHT, TOP, LEFT = range(4)
@@ -103,7 +103,7 @@ class Bodies(NamedTuple):
         return {"x": x, "y": y, "v_x": v_x, "v_y": v_y} | dict(zip(self._fields[2:], self[2:]))
 
     def _repr_html_(self) -> str:
-        return notebook.arrays_shown(notebook.counted(self.count, "circle"), self._asdict())
+        return html.arrays_shown(html.counted(self.count, "circle"), self._asdict())
 
 
 @by_value
@@ -153,8 +153,8 @@ class Contacts(NamedTuple):
         return {"body_a": self.body_a, "body_b": self.body_b} | places | dict(zip(self._fields[4:], self[4:]))
 
     def _repr_html_(self) -> str:
-        title = f"{notebook.counted(self.count, 'contact')} (dc.contact_table(state) names walls and segments)"
-        return notebook.arrays_shown(title, self._asdict())
+        title = f"{html.counted(self.count, 'contact')} (dc.contact_table(state) names walls and segments)"
+        return html.arrays_shown(title, self._asdict())
 
 
 def body_name(body: int, circles: int) -> int | str:

@@ -1,193 +1,19 @@
 """The rules of a valid state: `check_state` for any state, `check_limits` for states that the engine computes with.
 
-Readers of files and data sets apply the same rules (`contact_faults`); `physics.ready` has the rules as compiled code.
+Readers of files and data sets apply the same rules (`contact_faults`); `stepping.prepare` has the rules as compiled
+code.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from deep_contact.state.arrays import LIMITS, Bodies, Contacts
-from deep_contact.state.scales import ContactScales
-from deep_contact.validation import (
-    brief,
-    expect,
-    flag,
-    floats,
-    integer,
-    number,
-    real_numbers,
-    refuse_where,
-    several,
-    suggesting,
-    warn,
-)
+from deep_contact.state.arrays import Bodies, Contacts
+from deep_contact.state.fields import beyond_limits, check_bodies, check_contacts
+from deep_contact.state.validation import brief, expect, flag, integer, number
 
 if TYPE_CHECKING:
-    from deep_contact.state import State, World
-
-UNIT = 1e-4
-"""Largest deviation of the length of a normal from 1."""
-
-
-@suggesting
-def make_bodies(
-    position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None, fixed=False
-) -> Bodies:
-    """Circles from their centres; every other argument is one value for all circles, or one for each.
-
-    position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. angle: rad, counter-clockwise. spin: rad/s,
-    counter-clockwise. density: kg/m², used if `mass` is None. mass: kg. fixed: True for circles whose motion no force
-    or contact changes; their mass is infinite (`Bodies`), whatever `mass` and `density` are.
-    Raises ValueError naming the field, the body and the value.
-    """
-    places = real_numbers(position)
-    if places is None or np.atleast_2d(places).shape[1:] != (2,):
-        raise ValueError(f"position: expected numbers of shape (n, 2), x and y, got {brief(position)}")
-    position = np.atleast_2d(places)
-    n = position.shape[0]
-    radius = _for_each("radius", radius, (n,))
-    refuse_where(radius <= 0, "bodies.radius", radius, "a number > 0")  # before a mass is made of it
-    if mass is None:
-        density = _for_each("density", density, (n,))
-        refuse_where(~(density > 0), "density", density, "a number > 0")
-        mass = density * np.pi * radius**2
-    velocity = _for_each("velocity", velocity, (n, 2))
-    angle, spin, mass = (_for_each(*one, (n,)) for one in (("angle", angle), ("spin", spin), ("mass", mass)))
-    flags = np.asarray(fixed)
-    expect(flags.dtype == bool and flags.shape in ((), (n,)), f"fixed: expected {n} flags, or one, got {brief(fixed)}")
-    mass = np.where(flags, np.inf, mass)
-    return check_bodies(Bodies(position, velocity, angle, spin, mass, radius))
-
-
-def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
-    """A value for all circles, or one for each, as an array of this shape."""
-    with suppress(ValueError):
-        if (numbers := real_numbers(value)) is not None:
-            return np.broadcast_to(numbers, shape)
-    expected = f"one {'value' if len(shape) == 1 else 'pair'} for all circles, or for each of the {shape[0]}"
-    raise ValueError(f"{name}: expected {expected}, got {brief(value)}")
-
-
-def checked_world(world: World) -> dict:
-    """The fields of a world, validated, in the form that it keeps. Raises ValueError naming the field and the value."""
-    segments = _checked_segments(world.segments)
-    box = several("box", world.box, 4, expected="finite numbers, (x_min, y_min, x_max, y_max)")
-    fits = box[0] < box[2] and box[1] < box[3]
-    expect(fits, f"box: expected (x_min, y_min, x_max, y_max) of positive extent, got {world.box}")
-    return {
-        "box": box, "segments": segments, "scales": _checked_scales(world.scales),
-        "gravity": several("gravity", world.gravity, 2, expected="finite numbers, such as (0, -9.81)"),
-        "surface_speeds": _checked_speeds(world.surface_speeds, len(segments)),
-        "segment_velocities": checked_velocities(world.segment_velocities, len(segments)),
-        "friction": number("friction", world.friction, low=0),
-        "restitution": number("restitution", world.restitution, low=0, high=1),
-    }  # fmt: skip
-
-
-def check_bodies(bodies: Bodies) -> Bodies:
-    """The bodies, validated, with contiguous float64 copies of all arrays.
-
-    Raises ValueError naming the field, the body and the value.
-    """
-    if not isinstance(bodies, Bodies):  # not by `expect`, whose message would take longer than the checks
-        raise ValueError(f"bodies: expected Bodies, as dc.make_bodies makes them, got {brief(bodies)}")
-    n = _length("bodies.mass", bodies.mass)
-    # The radius first: if a mass was computed from it, the radius is at fault.
-    names = sorted(Bodies._fields, key=lambda name: name != "radius")
-    fields = {name: _checked_array("bodies", name, getattr(bodies, name), n) for name in names}
-    for name in ("mass", "radius"):
-        refuse_where(fields[name] <= 0, f"bodies.{name}", fields[name], "a number > 0")
-    return Bodies(**fields)
-
-
-def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Contacts:
-    """The contacts, validated against the bodies, with contiguous copies of all arrays, sorted by (body_a, body_b).
-
-    segments: number of segments of the world. Raises ValueError naming the field, the contact and the value.
-    """
-    m, n = _length("contacts.body_a", contacts.body_a), bodies.count
-    fields = {name: _checked_array("contacts", name, value, m) for name, value in contacts._asdict().items()}
-    a, b, end = fields["body_a"], fields["body_b"], n + 4 + segments
-    for name, bad, expected in contact_faults(fields, n, segments):
-        refuse_where(bad, f"contacts.{name}", fields[name], expected)
-    order = np.lexsort((b, a))
-    key = a[order] * end + b[order]
-    for i in order[1:][key[1:] == key[:-1]]:
-        raise ValueError(f"contacts: the pair (body_a {a[i]}, body_b {b[i]}) appears twice")
-    return Contacts(**{name: np.ascontiguousarray(value[order]) for name, value in fields.items()})
-
-
-def contact_faults(fields: Mapping, n: int, segments: int) -> Iterator[tuple[str, np.ndarray, str]]:
-    """Yield (field, flags of the contacts at fault, (m,), what is expected) of contacts among n circles.
-
-    fields: arrays of `Contacts`, (m, …) each. segments: number of segments of the world. A contact may not carry a
-    tensile impulse. Starts are not checked here, since they are only hints to the solver.
-    """
-    a, b, end, fixed = fields["body_a"], fields["body_b"], n + 4 + segments, "walls, segments" if segments else "walls"
-    yield "body_a", (a < 0) | (a >= n), f"a circle, 0 to {n - 1}"
-    yield "body_b", (b <= a) | (b >= end), f"a body after body_a, up to {end - 1} ({fixed})"
-    yield "normal", ~is_unit(fields["normal"]), "a unit vector"
-    yield "normal_impulse", fields["normal_impulse"] < 0, "a number >= 0"
-
-
-def check_kept_contacts(before: State, after: State) -> None:
-    """Raise ValueError if contacts that a state keeps would refer to other bodies than before."""
-    hint = "; contacts=None lets them be found, `State.with_bodies` keeps the impulses"
-    n, contacts = before.bodies.count, before.contacts
-    mass = after.bodies.mass if isinstance(after.bodies, Bodies) else before.bodies.mass
-    circles = len(mass) if isinstance(mass, (list, tuple)) else np.size(mass)  # a list may be ragged
-    if circles != n and contacts.count:
-        raise ValueError(f"bodies: expected {n} circles, as the contacts have, got {circles}{hint}")
-    old, new = (getattr(state.world, "segments", ()) for state in (before, after))
-    for k in np.unique(contacts.body_b[contacts.body_b >= n + 4]) - (n + 4) if len(old) != len(new) else ():
-        expected = f"segments[{k}]: expected {old[k]}, which has contacts"
-        expect(tuple(new[k : k + 1]) == (old[k],), f"{expected}, got another{hint.partition(',')[0]}")
-
-
-def warn_of_jumps(before: World, after: World) -> bool:
-    """Warn if a segment changes its position without having a velocity. Returns whether a segment does."""
-    count = len(after.segments) if len(before.segments) == len(after.segments) else 0  # none to compare
-    for k in range(count):
-        is_still = not after.segment_velocities or not any(after.segment_velocities[k])
-        if before.segments[k] != after.segments[k] and is_still:
-            warn("segments: a segment that is put elsewhere jumps, and pushes nothing; segment_velocities move it")
-            return True
-    return False
-
-
-def checked_push(push, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Forces, (n, 2), N, and torques, (n,), N·m, from an array of forces or a tuple of both. Raises ValueError."""
-    both = push if isinstance(push, tuple) and len(push) == 2 else (push, np.zeros(count))
-    arrays = [real_numbers(values) for values in both]
-    shapes = [getattr(values, "shape", None) for values in arrays]
-    if shapes != [(count, 2), (count,)] or not all(np.isfinite(values).all() for values in arrays):
-        expected = f"forces ({count}, 2), N, or a tuple of them and torques ({count},), N·m, of finite numbers"
-        raise ValueError(f"push: expected {expected}, got {brief(push)}")
-    return tuple(np.array(values, np.float64) for values in arrays)
-
-
-def checked_indices(name: str, which, count: int) -> np.ndarray:
-    """Indices from 0 to `count` − 1, from indices or from `count` flags. Raises ValueError unless they are distinct."""
-    chosen = np.asarray(which)
-    if chosen.dtype == bool and chosen.shape == (count,):
-        chosen = np.flatnonzero(chosen)
-    chosen = np.atleast_1d(chosen) if chosen.size else np.zeros(0, np.int64)
-    fits = chosen.ndim == 1 and np.issubdtype(chosen.dtype, np.integer)
-    fits = fits and ((chosen >= 0) & (chosen < count)).all() and len(np.unique(chosen)) == len(chosen)
-    expected = f"different numbers, 0 to {count - 1}, or {count} flags" if count else "none, since there are none"
-    expect(fits, f"{name}: expected {expected}, got {brief(which)}")
-    return chosen
-
-
-def is_unit(normal: np.ndarray) -> np.ndarray:
-    """Whether each of the vectors, (m, 2), has length 1, (m,)."""
-    with np.errstate(over="ignore"):
-        return np.abs(np.hypot(*normal.T) - 1) <= UNIT
+    from deep_contact.state.state import State
 
 
 def check_state(state: State) -> State:
@@ -201,7 +27,8 @@ def check_state(state: State) -> State:
 
 def check_types(state) -> State:
     """The state itself, if its fields have the right types. Raises ValueError naming the field."""
-    from deep_contact.state import State, World  # not at the top: that module imports this one
+    from deep_contact.state.state import State  # not at the top: that module imports this one
+    from deep_contact.state.world import World  # not at the top: that module imports this one
 
     if not isinstance(state, State):
         raise ValueError(f"state: expected a State, as of dc.circles_in_box or dc.read_state, got {brief(state)}")
@@ -229,90 +56,3 @@ def check_limits(state: State) -> State:
     for message in beyond_limits(**parts):
         raise ValueError(message)
     return state
-
-
-def beyond_limits(**parts) -> Iterator[str]:
-    """Messages on the quantities beyond `LIMITS`, in its order: the quantity, what is expected, the value.
-
-    parts: fields of a state, by name.
-    """
-    for name, (low, high, unit) in LIMITS.items():
-        owner, _, field = name.partition(".")
-        if (part := parts.get(owner)) is not None:
-            values = np.asarray(getattr(part, field) if field else part)
-            if name == "bodies.mass":
-                values = np.where(np.isposinf(values), high, values)  # masses of fixed circles
-            for at in np.argwhere(~((values >= low) & (values <= high)))[:1].tolist():
-                expected = f"{low:g} to {high:g} {unit}".rstrip()
-                yield f"{name}{at or ''}: expected {expected}, got {values[tuple(at)]}"
-
-
-def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
-    def numbers(ends) -> tuple[float, ...]:
-        array = real_numbers(ends)
-        return () if array is None else tuple(array.ravel().tolist())
-
-    if not isinstance(segments, (Sequence, np.ndarray)) or isinstance(segments, str):
-        raise ValueError(f"segments: expected a list of ((x, y), (x, y)), got {brief(segments)}")
-    checked = tuple(map(numbers, segments))
-    for index, ends in enumerate(checked):
-        fits = len(ends) == 4 and np.isfinite(ends).all()
-        along = (ends[2] - ends[0], ends[3] - ends[1]) if fits else (0.0, 0.0)
-        # The squared length is what the engine divides by. It may be infinite: `LIMITS` refuse such a segment.
-        if along[0] * along[0] + along[1] * along[1] == 0.0:
-            expected = "two different points, ((x, y), (x, y)), of finite numbers"
-            raise ValueError(f"segments[{index}]: expected {expected}, got {brief(segments[index])}")
-    return checked
-
-
-def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
-    count = 0 if np.array_equal(speeds, []) else count
-    checked = several("surface_speeds", speeds, count, expected="finite numbers, m/s, one a segment")
-    return checked if any(checked) else ()
-
-
-def checked_velocities(velocities, count: int) -> tuple[tuple[float, ...], ...]:
-    numbers = real_numbers(velocities)
-    fits = numbers is not None and (numbers.size == 0 or numbers.shape in ((count, 2, 2), (count, 4)))
-    expected = f"those of both ends of {count} segments, ((v_x, v_y), (v_x, v_y)), m/s"
-    expect(fits and np.isfinite(numbers).all(), f"segment_velocities: expected {expected}, got {brief(velocities)}")
-    return tuple(map(tuple, numbers.reshape(-1, 4).tolist())) if numbers.any() else ()
-
-
-def _checked_scales(scales) -> ContactScales | None:
-    if scales is None:
-        return None
-    is_known = isinstance(scales, ContactScales)
-    expect(is_known, f"scales: expected None or ContactScales, such as scales.BOX2D, got {brief(scales)}")
-    limits = {"max_translation": {"above": 0}}
-    named = scales._asdict().items()
-    # Integers become floats, for which compiled code is compiled.
-    return ContactScales(*(number(f"scales.{name}", v, **limits.get(name, {"low": 0})) for name, v in named))
-
-
-def _length(name: str, values) -> int:
-    """Length of a one-dimensional array."""
-    try:
-        shape = np.shape(values)
-    except ValueError:  # ragged rows
-        shape = ()
-    if len(shape) != 1:  # checked first, since NumPy takes milliseconds to print an array
-        raise ValueError(f"{name}: expected an array of one dimension, got {brief(values)}")
-    return shape[0]
-
-
-def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
-    """A validated copy of the array of a field: float64, or int64 for indices."""
-    shape = (count, 2) if name in ("position", "velocity", "normal") else (count,)
-    if name in ("body_a", "body_b"):
-        index = np.asarray(value)
-        fits = index.shape == shape and (np.issubdtype(index.dtype, np.integer) or index.size == 0)
-        expect(fits, f"{owner}.{name}: expected integers of shape {shape}, got {index.dtype}, {index.shape}")
-        return index.astype(np.int64)
-    if name != "mass":
-        return floats(f"{owner}.{name}", value, shape)
-    numbers = real_numbers(value)
-    if numbers is None or numbers.shape != shape:
-        return floats(f"{owner}.{name}", value, shape)  # raises ValueError
-    is_fixed = np.isposinf(numbers)  # a fixed circle has an infinite mass
-    return np.where(is_fixed, np.inf, floats(f"{owner}.{name}", np.where(is_fixed, 1.0, numbers), shape))

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact import constants
+from deep_contact.state import constants
 
 _GRAVITY = -constants.GRAVITY[1]
 
@@ -71,7 +71,7 @@ def contact_scales(radius, gravity, dt: float, fixed: ContactScales | None = Non
     """The scales of a scene's steps: the fixed scales, or those that follow from its radii, (n,), m, gravity and Δt.
 
     `max_translation` is at most `FASTEST` times Δt, m. Only fixed scales can set a smaller limit: otherwise a fast
-    circle may move far, and continuous collision finds what it meets (`physics.continuous`).
+    circle may move far, and continuous collision finds what it meets (`stepping.continuous`).
     """
     length = mean(radius)
     felt = math.sqrt(math.hypot(*gravity) * length / _GRAVITY)  # 0 without gravity

@@ -18,10 +18,10 @@ from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.inference import FarFieldModel, LearnedModel, load_model
 from deep_contact.cnn.model_file import read_metadata
 from deep_contact.cnn.registry import network_file
-from deep_contact.physics.contact_solver import projected
-from deep_contact.state import State
+from deep_contact.sph.start import Sph
+from deep_contact.state.state import State
+from deep_contact.stepping.rows import projected
 from deep_contact.studies import starts
-from deep_contact.warm_start import Sph
 
 # ---- networks ----
 

@@ -22,18 +22,20 @@ from timeit import timeit
 
 import numpy as np
 
-from deep_contact import constants
-from deep_contact.constants import POSITION_TOLERANCE, WALL_SKIN
-from deep_contact.physics import metrics
-from deep_contact.physics.ready import ready
-from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
-from deep_contact.physics.solvers import PGS
-from deep_contact.state import State, World
+from deep_contact.accuracy.stiffness import stiffness
+from deep_contact.measure.setting_runs import Run
+from deep_contact.measure.settings import setting_of
+from deep_contact.scenes import circles_in_box, column, lattice_in_box
+from deep_contact.solvers import PGS
+from deep_contact.state import constants
 from deep_contact.state.arrays import Bodies
-from deep_contact.state.checks import make_bodies
+from deep_contact.state.constants import POSITION_TOLERANCE, WALL_SKIN
+from deep_contact.state.fields import make_bodies
 from deep_contact.state.scales import mean
-from deep_contact.stiffness import stiffness
-from deep_contact.trade import Run, setting_of
+from deep_contact.state.state import State
+from deep_contact.state.world import World
+from deep_contact.stepping import metrics
+from deep_contact.stepping.prepare import ready
 
 SAFE, DEGRADED, FAILED, REFUSED, ABSENT = ("safe", "degraded", "failed", "refused", "absent")
 ENGINES = ("ours", "Box2D 2.3", "pymunk")

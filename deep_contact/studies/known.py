@@ -11,17 +11,18 @@ from math import cos, radians, sin, sqrt
 
 import numpy as np
 
-from deep_contact.constants import GRAVITY
-from deep_contact.state import State, World
+from deep_contact.measure.setting_runs import Run
 from deep_contact.state.arrays import Bodies
-from deep_contact.state.checks import make_bodies
-from deep_contact.trade import Run
+from deep_contact.state.constants import GRAVITY
+from deep_contact.state.fields import make_bodies
+from deep_contact.state.state import State
+from deep_contact.state.world import World
 
 G = -GRAVITY[1]
 
 
 def error(setting: Mapping) -> float:
-    """The largest error of a setting among `motions`, % of their speeds. setting: as `trade.solver_of` reads it."""
+    """The largest error of a setting among `motions`, % of their speeds. setting: as `solver_of` reads it."""
     return 100.0 * max(wrong(end(setting, scene, seconds).bodies) for scene, seconds, wrong in motions())
 
 

@@ -6,14 +6,15 @@ import math
 
 import numpy as np
 
-from deep_contact.constants import WALL_SKIN
-from deep_contact.physics.scenes import circles_in_box, lattice_in_box
-from deep_contact.physics.solvers import NNCG, BatchedPGS
-from deep_contact.simulation import simulate
-from deep_contact.state import State, StateWithContacts, World
-from deep_contact.state.checks import make_bodies
+from deep_contact.run.one_scene import simulate
+from deep_contact.scenes import circles_in_box, lattice_in_box
+from deep_contact.solvers import NNCG, BatchedPGS
+from deep_contact.state.constants import WALL_SKIN
+from deep_contact.state.fields import make_bodies
+from deep_contact.state.state import State, StateWithContacts
+from deep_contact.state.validation import one_of
+from deep_contact.state.world import World
 from deep_contact.studies.starts import solved_states
-from deep_contact.validation import one_of
 
 KINDS = {
     "falling": (1.0, np.inf),

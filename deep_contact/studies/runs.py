@@ -1,6 +1,6 @@
 """The study of runs: scenes × settings × seeds -> rows of errors and times; its scenes; the settings of presets.
 
-`observed_rows` measures errors: every setting runs the same scenes, by the functions of `deep_contact.trade`.
+`observed_rows` measures errors: every setting runs the same scenes, by the functions of `deep_contact.measure`.
 `timed_rows` measures times, one after the other, on a machine that does nothing else. The study (run_tradeoff.py), the
 check on other scenes (run_tradeoff_verify.py) and Figure 6.16 are lists of scenes and settings for them.
 
@@ -24,18 +24,19 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact import parallel, peers, trade
-from deep_contact.constants import GRAVITY, TIME_STEP
+from deep_contact import parallel
+from deep_contact.accuracy.presets import FASTEST, KNOWN, PRESETS, keeping
+from deep_contact.figures import results
 from deep_contact.io import shipped
 from deep_contact.io.provenance import commit
-from deep_contact.physics.scenes import drum, hopper, lattice_in_box, terrain
-from deep_contact.presets import FASTEST, KNOWN, PRESETS, keeping
-from deep_contact.reporting import results
-from deep_contact.run_errors import observation, observe
-from deep_contact.state import State
+from deep_contact.measure import peers, setting_runs
+from deep_contact.measure.errors import observation, observe
+from deep_contact.measure.setting_runs import states_of
+from deep_contact.scenes import drum, hopper, lattice_in_box, terrain
+from deep_contact.state.constants import GRAVITY, TIME_STEP
+from deep_contact.state.state import State
+from deep_contact.state.validation import one_of
 from deep_contact.studies import piles
-from deep_contact.trade import states_of
-from deep_contact.validation import one_of
 
 RESULTS = {"results": "data/reference/run_tradeoff.json"}
 """The option of figures that draw the study: the path of its results file."""
@@ -147,14 +148,14 @@ def made(make: Callable, kind: str, n_bodies: int, seed: int) -> State:
 
 
 def observed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_):
-    """The observation (`run_errors.observe`) of one run of a scene with a setting."""
+    """The observation (`errors.observe`) of one run of a scene with a setting."""
     return observe(states_of(made(make, kind, n_bodies, seed), setting, round(seconds / INTERVAL), INTERVAL))
 
 
 def timed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_) -> float:
     """Mean computing time of the scene's Δt in a run with a setting, μs."""
     start = made(make, kind, n_bodies, seed)
-    return 1e6 * trade.timed(start, setting, seconds) * start.dt / seconds
+    return 1e6 * setting_runs.timed(start, setting, seconds) * start.dt / seconds
 
 
 def observed_rows(
@@ -186,7 +187,7 @@ def observed_rows(
         if key[:2] not in references:
             references[key[:2]] = ensemble, make(kind, n_bodies, seed).dt
         true, step = references[key[:2]]
-        row = trade.row_of(cases[key][0], step, ensemble, true[: len(ensemble)])
+        row = setting_runs.row_of(cases[key][0], step, ensemble, true[: len(ensemble)])
         rows[key] = {"kind": kind, "n_bodies": n_bodies} | row | ({"errors": None} if true is ensemble else {})
     return rows
 

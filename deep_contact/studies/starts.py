@@ -13,24 +13,28 @@ from typing import Any
 
 import numpy as np
 
-from deep_contact import constants, sph
+from deep_contact import sph
 from deep_contact.cnn.backend import one_thread
+from deep_contact.cnn.start import Cnn
+from deep_contact.figures.figure import Figure
+from deep_contact.io.json_data import plain
 from deep_contact.parallel import parallel_map, seeds
-from deep_contact.physics.contact_solver import projected
-from deep_contact.physics.convergence import mean_theta
-from deep_contact.physics.ready import ready
-from deep_contact.physics.scenes import circles_in_box
-from deep_contact.physics.solvers import PGS
-from deep_contact.reporting import plotting
-from deep_contact.reporting.figures import Figure
-from deep_contact.reporting.results import plain
-from deep_contact.simulation import simulate, solve_contacts
-from deep_contact.state import State, StateWithContacts, World
-from deep_contact.state.checks import make_bodies
+from deep_contact.plot import plotting
+from deep_contact.run.one_scene import simulate, solve_contacts
+from deep_contact.scenes import circles_in_box
+from deep_contact.solvers import PGS
+from deep_contact.sph.start import Sph, solved_impulses
+from deep_contact.starts.names import Start, WarmStart, warm_start_of
+from deep_contact.state import constants
+from deep_contact.state.fields import make_bodies
+from deep_contact.state.state import State, StateWithContacts
+from deep_contact.state.validation import flag, list_of, number, one_of
+from deep_contact.state.world import World
+from deep_contact.stepping.convergence import mean_theta
+from deep_contact.stepping.prepare import ready
+from deep_contact.stepping.rows import projected
 from deep_contact.studies import verdicts
 from deep_contact.studies.timing import interleaved
-from deep_contact.validation import flag, list_of, number, one_of
-from deep_contact.warm_start import Cnn, Sph, Start, WarmStart, solved_impulses, warm_start_of
 
 THRESHOLD = constants.THETA_TOLERANCE
 """θ at which a solve counts as done, where its sweeps are counted, N·s."""

@@ -12,8 +12,8 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from deep_contact.reporting.figures import Claim
-from deep_contact.run_errors import interval
+from deep_contact.figures.results import Claim
+from deep_contact.measure.errors import interval
 
 FEWEST = 10
 """Least number of scenes with which a claim is judged."""

@@ -10,8 +10,8 @@ from typing import NamedTuple
 from numba import njit
 
 import deep_contact as dc
-from deep_contact.physics.contact_solver import sweep
-from deep_contact.physics.solvers import Loop, SolverOptions, register
+from deep_contact.solvers import Loop, register, sweep
+from deep_contact.stepping.interface import SolverOptions
 
 
 @dataclass(frozen=True, kw_only=True)

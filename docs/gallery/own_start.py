@@ -9,7 +9,7 @@ given states.
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.physics.lcp import contact_problem
+from deep_contact.analysis import contact_problem
 
 
 def line_search(state, solver):

@@ -7,7 +7,7 @@ is an exact solution, found by pivoting. A new method is compared by adding one 
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.physics.metrics import velocity_error
+from deep_contact.analysis import velocity_error
 
 scene = dc.circles_in_box(n_bodies=60, size=24.0, seed=3)
 state = dc.simulate(scene, steps=150, solver=dc.PGS()).state

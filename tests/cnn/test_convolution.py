@@ -8,7 +8,7 @@ from deep_contact import sph
 from deep_contact.cnn import architectures, far_field
 from deep_contact.cnn.convolution import Program
 from deep_contact.cnn.model_file import weights_of
-from deep_contact.physics.engine import step_problem
+from deep_contact.stepping.problem import step_problem
 
 
 def network(width):

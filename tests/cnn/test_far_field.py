@@ -8,7 +8,7 @@ from symmetry import transform_state
 import deep_contact as dc
 from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec, correct, corrected, describe, window_side
 from deep_contact.cnn.inference import FarFieldModel
-from deep_contact.warm_start import Cnn
+from deep_contact.cnn.start import Cnn
 
 SPEC = FarFieldSpec()
 

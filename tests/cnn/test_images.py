@@ -9,7 +9,7 @@ from symmetry import transform_state
 
 import deep_contact as dc
 from deep_contact.cnn.images import CHANNELS, ImageSpec, input_image, label_image, read_back
-from deep_contact.physics.ready import ready
+from deep_contact.stepping.prepare import ready
 
 FLOAT32 = 2.0**-23
 

@@ -18,7 +18,10 @@ from deep_contact.cnn.evaluation import held_out_errors, start_quality, velocity
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.inference import LearnedModel, load_model
 from deep_contact.cnn.model_file import METADATA, ModelFileError, read_metadata, save_model
-from deep_contact.warm_start import Cnn, Copy, NoStart, warm_start_of
+from deep_contact.cnn.start import Cnn
+from deep_contact.sph.start import Copy
+from deep_contact.starts.classical import NoStart
+from deep_contact.starts.names import warm_start_of
 
 SPEC = ImageSpec()
 CARD = {"seed": 3, "command": "python scripts/train.py"}

@@ -5,7 +5,7 @@ import pytest
 
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.through_solver import errors_after, loss_and_gradient, solved_problem
-from deep_contact.physics.contact_solver import projected
+from deep_contact.stepping.rows import projected
 
 SWEEPS, WEIGHTS = (0, 3, 10), (0.5, 1.0, 2.0)
 

@@ -132,8 +132,8 @@ def seen():
     return [dict(vars(one)) for one in (*places, pythonapi.PythonAPI, linalg)], boxers
 
 before = seen()
-from deep_contact.physics.convergence import is_over
-import deep_contact.simulation, deep_contact.sph.grid, deep_contact.cnn.convolution
+from deep_contact.stepping.convergence import is_over
+import deep_contact.run.one_scene, deep_contact.sph.grid, deep_contact.cnn.convolution
 is_over(1.0, 2.0)
 print(before == seen())
 """
@@ -155,7 +155,7 @@ def test_numba_compiles_what_needs_blas_without_importing_it_before():
 
 
 SMALL = """
-from deep_contact.physics.convergence import all_finite, is_over
+from deep_contact.stepping.convergence import all_finite, is_over
 from deep_contact.sph.kernels import gaussian, np
 for function, arguments in ((is_over, (1.0, 2.0)), (all_finite, (np.ones((3, 4)),)), (gaussian, (0.3, 2))):
     print(function(*arguments), sum(function.stats.cache_misses.values()))
@@ -335,7 +335,7 @@ def test_an_index_that_names_a_class_which_has_moved_counts_as_none(tmp_path):
 def test_compiling_is_announced_once_and_only_where_physics_are_compiled(monkeypatch):
     monkeypatch.setattr(compiled, "PATIENCE", 0.0)
     one, two, other = (njit(lambda x, k=k: x + k) for k in range(3))
-    one.py_func.__module__ = two.py_func.__module__ = "deep_contact.physics.engine"
+    one.py_func.__module__ = two.py_func.__module__ = "deep_contact.stepping.algorithm"
     other.py_func.__module__ = None  # as of functions that Numba makes
     for functions, lines in (((other,), 0), ((one, two), 1), ((one,), 0)):
         said = []

@@ -10,10 +10,10 @@ import h5py
 import pytest
 
 import deep_contact as dc
-from deep_contact import trade
 from deep_contact.__main__ import main
 from deep_contact.io import contacts_csv, files
 from deep_contact.io.files import check_writable, write_bytes
+from deep_contact.measure import measurement
 
 NOWHERE = "/proc/run.xml"
 """In a folder that takes no file, not even of the superuser."""
@@ -129,7 +129,7 @@ def sigterm():
 
 
 def test_sigterm_keeps_what_a_trade_has_measured_as_ctrl_c_does(tmp_path, monkeypatch, sigterm):
-    out, real, calls = tmp_path / "trade.json", trade._task, []
+    out, real, calls = tmp_path / "trade.json", measurement._task, []
 
     def terminated(task):
         calls.append(task)
@@ -137,7 +137,7 @@ def test_sigterm_keeps_what_a_trade_has_measured_as_ctrl_c_does(tmp_path, monkey
             os.kill(os.getpid(), signal.SIGTERM)
         return real(task)
 
-    monkeypatch.setattr(trade, "_task", terminated)
+    monkeypatch.setattr(measurement, "_task", terminated)
     words = ["--bodies", "20", "--steps", "20", "--seeds", "3", "--out", str(out)]
     assert main(["trade", *words]) == 0
     assert len(calls) == 12

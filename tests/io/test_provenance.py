@@ -55,7 +55,7 @@ def test_without_git_there_is_no_commit(monkeypatch):
 @pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
 def test_results_do_not_make_a_checkout_dirty_and_sources_do(tmp_path, monkeypatch):
     package, stored = tmp_path / "deep_contact", tmp_path / "data" / "reference" / "figure_3_7.json"
-    for path in (package / "constants.py", package / "io" / "provenance.py", stored):
+    for path in (package / "__init__.py", package / "io" / "provenance.py", stored):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("1")
     monkeypatch.setattr(provenance, "__file__", str(package / "io" / "provenance.py"))
@@ -69,7 +69,7 @@ def test_results_do_not_make_a_checkout_dirty_and_sources_do(tmp_path, monkeypat
     assert clean == done.stdout.strip()
     stored.write_text("2")
     assert provenance.commit() == clean
-    (package / "constants.py").write_text("2")
+    (package / "__init__.py").write_text("2")
     assert provenance.commit() == clean + "+changes"
 
 

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
+from deep_contact.figures import results
 from deep_contact.io.simulation_h5 import DataFileError, write_simulation
 from deep_contact.io.state_xml import format_state, parse_state
 from deep_contact.io.xml_tree import StateFileError
-from deep_contact.reporting import plotting, results
+from deep_contact.plot import plotting
 
 
 @pytest.fixture(scope="module")

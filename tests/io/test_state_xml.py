@@ -18,14 +18,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from deep_contact import constants
 from deep_contact.io import state_xml, xml_tree
-from deep_contact.io.state_xml import StateFileError, format_state, parse_state, read_state, write_state
-from deep_contact.physics.solvers import PGS
-from deep_contact.state import State, World
+from deep_contact.io.state_xml import format_state, parse_state, read_state, write_state
+from deep_contact.io.xml_tree import StateFileError
+from deep_contact.solvers import PGS
+from deep_contact.state import constants
 from deep_contact.state.arrays import BOTTOM, LEFT, WALL_NORMALS, Bodies, Contacts, no_contacts
-from deep_contact.state.checks import make_bodies
+from deep_contact.state.fields import make_bodies
 from deep_contact.state.scales import BOX2D, ContactScales
+from deep_contact.state.state import State
+from deep_contact.state.world import World
 
 DATA = Path(__file__).parent / "data"
 OLD_A = DATA / "old_pybox2d_12.xml"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import load_script
 
-from deep_contact.reporting import figures
+from deep_contact import figures
 
 benchmark = load_script("benchmark")
 

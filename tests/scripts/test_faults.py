@@ -16,8 +16,8 @@ import pytest
 from conftest import SCRIPTS, run_python
 
 import deep_contact as dc
+from deep_contact import figures
 from deep_contact.io.state_xml import read_state
-from deep_contact.reporting import figures
 
 PACKAGE = Path(dc.__file__).parent
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits as POSIX has them")
@@ -98,9 +98,9 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 import deep_contact as dc
-from deep_contact.reporting import plotting
+from deep_contact.plot import plotting
 from deep_contact import cnn
-from deep_contact.physics.ready import ready
+from deep_contact.stepping.prepare import ready
 out = Path(sys.argv[1])
 big = ready(dc.lattice_in_box(1000))
 {prepare}

@@ -7,8 +7,8 @@ import pytest
 from conftest import circles_at, load_script
 
 import deep_contact as dc
-from deep_contact.bounds import ForceBounds
-from deep_contact.physics.engine import ContactSolution
+from deep_contact.analysis.bounds import ForceBounds
+from deep_contact.stepping.problem import ContactSolution
 
 determinacy = load_script("figure_6_15")
 

@@ -6,7 +6,7 @@ from conftest import load_script
 
 import deep_contact as dc
 from deep_contact import parallel
-from deep_contact.warm_start import NoStart
+from deep_contact.starts.classical import NoStart
 
 learned_starts = load_script("figure_6_8")
 CLASSICAL, LEARNED, SOLVERS = learned_starts.CLASSICAL, learned_starts.LEARNED, learned_starts.SOLVERS

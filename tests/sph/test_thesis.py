@@ -6,8 +6,8 @@ import pytest
 import deep_contact as dc
 from deep_contact import sph
 from deep_contact.sph import kernels
+from deep_contact.sph.start import Sph
 from deep_contact.studies import starts
-from deep_contact.warm_start import Sph
 
 GRID = sph.Grid.over_box((0.0, 0.0, 4.0, 3.0), 0.5)
 

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from conftest import load_script
 
-from deep_contact.reporting import figures, results
+from deep_contact import figures
+from deep_contact.figures import results
 from deep_contact.studies import chapter_4 as worked
 
 neuron, backpropagation = load_script("figure_4_4"), load_script("figure_4_7")

@@ -13,9 +13,10 @@ from deep_contact import parallel
 from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec
-from deep_contact.physics.solvers import PGS
+from deep_contact.solvers import PGS
+from deep_contact.sph.start import Copy, Sph
+from deep_contact.starts.classical import Builtin, NoStart
 from deep_contact.studies import chapter_5, starts, verdicts
-from deep_contact.warm_start import Builtin, Copy, NoStart, Sph
 
 
 @pytest.fixture(scope="module")

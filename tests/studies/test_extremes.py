@@ -7,17 +7,17 @@ import pytest
 from conftest import circles_at, load_script, run_python
 
 import deep_contact as dc
-from deep_contact import warm_start
-from deep_contact.constants import LINEAR_SLOP
-from deep_contact.physics.engine import contacts_of, solve
-from deep_contact.physics.metrics import kinetic_energy
-from deep_contact.physics.ready import is_valid, ready
-from deep_contact.physics.solvers import METHODS
-from deep_contact.reporting import figures
+from deep_contact import figures
+from deep_contact.solvers import METHODS
+from deep_contact.starts import classical
+from deep_contact.starts.names import STARTS
 from deep_contact.state.arrays import LIMITS, Bodies
+from deep_contact.state.constants import LINEAR_SLOP
+from deep_contact.stepping.metrics import kinetic_energy
+from deep_contact.stepping.prepare import is_valid, ready
+from deep_contact.stepping.problem import contacts_of, solve
 from deep_contact.studies import extremes
 from deep_contact.studies.extremes import ACCURATE, DEGRADED, FAILED, REFUSED, SAFE, Trial, measure
-from deep_contact.warm_start import STARTS
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*(nearly coincide|outside of the box)")
 TEN = dc.PGS(sweeps=10, tolerance=None)
@@ -163,7 +163,7 @@ def test_what_is_not_a_number_has_no_contacts_and_does_not_end_the_process():
 @pytest.mark.parametrize("solver", [dc.PGS(), dc.BatchedPGS()])
 def test_a_solver_that_diverges_beyond_all_numbers_says_so(solver, monkeypatch):
     # Without the limit on a start the sweeps end in NaN, and that is said at once.
-    monkeypatch.setattr(warm_start, "LARGEST_START", 1.7e308)
+    monkeypatch.setattr(classical, "LARGEST_START", 1.7e308)
     state = ready(extremes.silo(3))
     huge = lambda state, solver: (np.full(state.contacts.count, 1.7e308),) * 2  # noqa: E731
     with pytest.raises(FloatingPointError, match=r"up to step 1: circle 0 \(mass .*the solver diverged; try PGS"):
@@ -187,7 +187,7 @@ CHECKED = """
 import sys
 import deep_contact as dc
 from deep_contact.studies import extremes
-from deep_contact.physics.solvers import METHODS
+from deep_contact.solvers import METHODS
 solver = METHODS[sys.argv[1]](sweeps=20)
 for scene in (extremes.overlapping(1.0, 50), extremes.cornered(5.0), extremes.shifted(extremes.silo(5), 1e6),
               extremes.bed_under(1e3), extremes.channel(1e6), dc.lattice_in_box(200, radius=(1e-3, 1.0)),

@@ -3,8 +3,8 @@
 import pytest
 
 import deep_contact as dc
+from deep_contact.measure.settings import setting_of
 from deep_contact.studies import known
-from deep_contact.trade import setting_of
 
 
 @pytest.mark.parametrize("number", range(8))

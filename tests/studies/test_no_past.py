@@ -8,10 +8,10 @@ from conftest import load_script
 
 import deep_contact as dc
 from deep_contact.cnn.model_file import ModelFileError
-from deep_contact.physics import metrics
-from deep_contact.physics.engine import step_problem
+from deep_contact.cnn.start import FarFieldNoPast
+from deep_contact.stepping import metrics
+from deep_contact.stepping.problem import step_problem
 from deep_contact.studies import piles
-from deep_contact.warm_start import FarFieldNoPast
 
 
 @pytest.fixture(scope="module")

@@ -8,14 +8,15 @@ import pytest
 from conftest import load_script
 
 import deep_contact as dc
-from deep_contact import peers, trade
-from deep_contact.constants import TIME_STEP
-from deep_contact.presets import PRESETS
-from deep_contact.reporting import figures, results
-from deep_contact.run_errors import SETTLED, observation
+from deep_contact import figures
+from deep_contact.accuracy.presets import PRESETS
+from deep_contact.figures import results
+from deep_contact.measure import peers, setting_runs
+from deep_contact.measure.errors import SETTLED, observation
+from deep_contact.measure.settings import name_of
+from deep_contact.state.constants import TIME_STEP
 from deep_contact.studies import runs
 from deep_contact.studies.runs import done
-from deep_contact.trade import name_of
 
 COARSE = {"method": "PGS", "sweeps": 3, "dt": TIME_STEP}
 FINE, PEER = COARSE | {"dt": TIME_STEP / 2}, {"engine": "pymunk", "sweeps": 4, "dt": TIME_STEP}
@@ -42,7 +43,7 @@ def test_other_engines_fall_as_ours(engine):
 
 def test_a_row_holds_a_setting_against_the_reference():
     coarse, true = ([observed("plain", 30, k, one, 1.5) for k in (1, 2)] for one in (COARSE, runs.REFERENCE))
-    found = trade.row_of(COARSE, TIME_STEP, coarse, true)
+    found = setting_runs.row_of(COARSE, TIME_STEP, coarse, true)
     assert (found["name"], found["seeds"]) == ("PGS, 3 sweeps, Δt", 2)
     value, low, high = found["errors"]["penetration_max"]
     assert 0 < low <= value <= high
@@ -111,15 +112,15 @@ class Slow:
 def test_neither_the_first_step_nor_the_destruction_of_a_world_is_timed(monkeypatch):
     monkeypatch.setitem(peers.ENGINES, "slow", Slow)
     slow = {"engine": "slow", "sweeps": 4, "dt": TIME_STEP}
-    assert trade.timed(runs.scene("plain", 10, 1), slow, 0.1) < 0.05
+    assert setting_runs.timed(runs.scene("plain", 10, 1), slow, 0.1) < 0.05
 
 
 def test_loading_code_is_not_timed(monkeypatch):
-    real, calls = trade.simulate, []
+    real, calls = setting_runs.simulate, []
     monkeypatch.setattr(
-        trade, "simulate", lambda *args, **options: (calls or work(), calls.append(1)) and real(*args, **options)
+        setting_runs, "simulate", lambda *args, **options: (calls or work(), calls.append(1)) and real(*args, **options)
     )
-    assert trade.timed(runs.scene("plain", 10, 1), COARSE, 0.1) < 0.05
+    assert setting_runs.timed(runs.scene("plain", 10, 1), COARSE, 0.1) < 0.05
 
 
 @pytest.mark.parametrize("kind", ["mixed radii", "gas", "drum"])
@@ -196,7 +197,7 @@ def test_the_script_installs_what_recommend_reads(study, tmp_path, monkeypatch):
     monkeypatch.setattr(results, "REFERENCE", tmp_path)
     script.install()
     table = json.loads((tmp_path / "runs.json").read_text())
-    monkeypatch.setattr("deep_contact.presets.installed", lambda: table)
+    monkeypatch.setattr("deep_contact.accuracy.presets.installed", lambda: table)
     assert dc.recommend(dc.circles_in_box(20), accuracy="preview").us > 0
     assert {setting["name"] for setting in table["settings"]} == {"PGS, 3 sweeps, Δt", "NNCG, 2 sweeps, Δt"}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import load_script
 
-from deep_contact.reporting import results
+from deep_contact.figures import results
 from deep_contact.studies import starts, verdicts
 
 SWEEPS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000]

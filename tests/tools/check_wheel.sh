@@ -38,7 +38,7 @@ fi
         tests/io/test_shipped.py tests/cnn/test_inference.py::test_every_shipped_file_is_registered_under_its_hash \
         tests/cnn/test_inference.py::test_models_are_found_in_the_folder_that_is_named_and_in_the_current_one \
         tests/test_command_line.py::test_every_figure_and_table_is_listed_and_reached_by_its_name \
-        tests/reporting/test_readme.py::test_tables_and_sentences_have_the_numbers_of_the_results_files > "$work/log" 2>&1
+        tests/documents/test_readme.py::test_tables_and_sentences_have_the_numbers_of_the_results_files > "$work/log" 2>&1
 ) &
 tests=$!
 

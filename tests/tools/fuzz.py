@@ -38,13 +38,14 @@ import h5py
 import numpy as np
 
 import deep_contact as dc
+from deep_contact.figures import results
 from deep_contact.io import simulation_h5
 from deep_contact.io.files import write_json
-from deep_contact.io.state_xml import StateFileError, format_state, parse_state
-from deep_contact.physics.solvers import METHODS, PGS
-from deep_contact.reporting import results
-from deep_contact.state import World
+from deep_contact.io.state_xml import format_state, parse_state
+from deep_contact.io.xml_tree import StateFileError
+from deep_contact.solvers import METHODS, PGS
 from deep_contact.state.scales import BOX2D
+from deep_contact.state.world import World
 
 OLD_FILES = Path(__file__).resolve().parents[1] / "io" / "data"
 ODD = (

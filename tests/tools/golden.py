@@ -31,14 +31,15 @@ from numba.core.registry import cpu_target
 
 import deep_contact as dc
 from deep_contact import sph
+from deep_contact.accuracy.presets import PRESETS, PresetWarning
+from deep_contact.analysis.lcp import contact_problem
+from deep_contact.analysis.matrix_solvers import solve_problem
+from deep_contact.figures import staleness
 from deep_contact.io.files import write_bytes, write_json
 from deep_contact.io.provenance import provenance
-from deep_contact.physics.lcp import contact_problem
-from deep_contact.physics.matrix_solvers import solve_problem
-from deep_contact.physics.solvers import METHODS, describe
-from deep_contact.presets import PRESETS, PresetWarning
-from deep_contact.reporting import staleness
-from deep_contact.warm_start import STARTS, TRANSFERS, Sph
+from deep_contact.solvers import METHODS, describe
+from deep_contact.sph.start import TRANSFERS, Sph
+from deep_contact.starts.names import STARTS
 
 FILE = Path(__file__).resolve().parents[2] / "data" / "reference" / "golden.json"
 

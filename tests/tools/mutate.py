@@ -1,12 +1,12 @@
-"""Mutation testing: how many small faults in `physics/` and `sph/`, or in the files that are named, the tests find.
+"""Mutation testing: how many small faults in the physics, or in the files that are named, the tests find.
 
     python tests/tools/mutate.py [--mutants 100] [--seed 0] [--jobs 2] [--out data/reference/mutants.json]
-    python tests/tools/mutate.py physics/exact.py=tests/physics/test_exact.py,… 'io/*.py=tests/io' … --out …
+    python tests/tools/mutate.py analysis/exact.py=tests/analysis/test_exact.py,… 'io/*.py=tests/io' … --out …
 
 Cosmic Ray makes the mutants. The sample takes from every file by its share of places, and one fault in each place.
-Every mutant is tried in a copy of the package, by the tests of its folder and the golden runs, or by the tests that are
-named with its file, or with a pattern of files. A mutant whose tests run out of time counts as killed. With the hash of
-a commit as seed, nobody has chosen the mutants.
+Every mutant is tried in a copy of the package, by the tests of its folder, those of behaviour and the golden runs, or
+by the tests that are named with its file, or with a pattern of files. A mutant whose tests run out of time counts as
+killed. With the hash of a commit as seed, nobody has chosen the mutants.
 
 The record is written after every mutant. Another run keeps the mutants that were killed, and the survivors whose entry
 `explained` says why they cannot be told from the original. It tries all others.
@@ -31,12 +31,14 @@ from cosmic_ray.mutating import mutate_code
 from cosmic_ray.plugins import get_operator, operator_names
 from cosmic_ray.testing import run_tests
 
+from deep_contact.figures import results
 from deep_contact.io.files import replacing
 from deep_contact.parallel import progress_bar
-from deep_contact.reporting import results
 
 ROOT = Path(__file__).resolve().parents[2]
-TESTS = "tests/physics tests/sph tests/test_golden.py"
+FOLDERS = "stepping", "solvers", "starts", "analysis", "sph"
+"""Those of the package from which mutants are drawn where no files are named."""
+TESTS = f"{' '.join(f'tests/{folder}' for folder in FOLDERS)} tests/behaviour tests/test_golden.py"
 LIMIT_S = 900
 """Seconds that the tests of a mutant may take."""
 SKIPPED = re.compile(r"Decorator|Exception|Variable|BitOr_|_(.Shift|Bit\w+|Is|IsNot)$")
@@ -47,7 +49,7 @@ FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
 def draw(count: int, seed: int | str, files: Iterable[str] = ()) -> dict[str, dict]:
     """`count` mutants, in random order, by a name without line numbers, which change with every edit."""
-    folders = (ROOT / "deep_contact" / name for name in ("physics", "sph"))
+    folders = (ROOT / "deep_contact" / name for name in FOLDERS)
     named = [ROOT / file for file in files]
     places = defaultdict(lambda: defaultdict(list))
     for path in sorted(named or (path for folder in folders for path in folder.rglob("*.py"))):
@@ -90,7 +92,7 @@ def try_mutant(mutant: dict, tests: str, folder: Path) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("files", metavar="FILE=TEST,…", nargs="*", help="default: all of physics and sph, by TESTS")
+    parser.add_argument("files", metavar="FILE=TEST,…", nargs="*", help="default: all of FOLDERS, by TESTS")
     parser.add_argument("--mutants", type=int, default=100)
     number_or_text = lambda text: int(text) if text.isdecimal() else text  # noqa: E731
     parser.add_argument("--seed", type=number_or_text, default=0, help="a number, or the hash of a commit")
@@ -122,7 +124,7 @@ def main() -> None:
 
         def try_one(name: str) -> tuple[str, dict]:
             file, folder = mutants[name]["file"], folders.get()
-            tests = named.get(file, f"tests/{Path(file).parts[1]} tests/test_golden.py")
+            tests = named.get(file, f"tests/{Path(file).parts[1]} tests/behaviour tests/test_golden.py")
             try:
                 return name, try_mutant(mutants[name], tests, folder)
             finally:

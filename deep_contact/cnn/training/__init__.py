@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from deep_contact.io.lazy import attach
+from deep_contact.lazy import attach
 
 # ruff: noqa: F401
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING
 
 from deep_contact.cnn.schedules import SCHEDULES
-from deep_contact.validation import integer, number, one_of
+from deep_contact.state.validation import integer, number, one_of
 
 if TYPE_CHECKING:
     from deep_contact.cnn.far_field import FarFieldSpec

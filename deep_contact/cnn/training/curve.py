@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from deep_contact.reporting import plotting
+from deep_contact.plot import plotting
 
 
 def read_history(path) -> list[dict]:

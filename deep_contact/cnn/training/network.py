@@ -21,7 +21,7 @@ from deep_contact.cnn.model_file import save_model
 from deep_contact.cnn.training.config import TrainingConfig
 from deep_contact.io.files import replacing
 from deep_contact.io.provenance import package_versions, processor
-from deep_contact.validation import expect
+from deep_contact.state.validation import expect
 
 
 def optimizer_of(config: TrainingConfig) -> keras.optimizers.Optimizer:

@@ -37,7 +37,7 @@ from deep_contact.cnn.model_file import read_metadata, save_model
 from deep_contact.cnn.training.config import TrainingConfig
 from deep_contact.cnn.training.far_field_run import FarFieldRun
 from deep_contact.cnn.training.network import ImageRun
-from deep_contact.physics.engine import step_problem
+from deep_contact.stepping.problem import step_problem
 
 
 class Training(NamedTuple):

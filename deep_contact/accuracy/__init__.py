@@ -1,0 +1,1 @@
+"""How accurate: presets, and what they have to know of a scene."""

@@ -1,0 +1,444 @@
+"""Presets of accuracy, and the cheapest setting for each: `simulate(accuracy=…)` and `recommend`.
+
+A preset is a table of tolerances on the errors of a run (`errors.ERRORS`). The package has a study of settings: a
+method, a number of sweeps and a time step each. The study has their errors and times on kinds of scenes
+(`studies.runs`); `scripts/run_tradeoff.py --install` writes it. A preset takes the cheapest setting that keeps its
+tolerances on scenes like the user's.
+
+A setting's time step is meant for circles of r = 1 m under g = 9.81 m/s². For other circles it is scaled by √(r / g). A
+longer step of the user's is divided into substeps. Most settings divide it further if a circle is about to hit
+something (`stepping.substeps`), and have a slop of their own.
+
+A scene that a few sweeps cannot solve gets a solver of its own (`stiffness`).
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from deep_contact.accuracy.scene_numbers import SceneNumbers, scene_numbers
+from deep_contact.accuracy.stiffness import Stiffness, stiffness
+from deep_contact.solvers import describe, solver_from
+from deep_contact.state import html
+from deep_contact.state.constants import FRICTION, GRAVITY, TIME_STEP
+from deep_contact.state.state import State
+from deep_contact.state.validation import number, one_of, suggesting
+from deep_contact.stepping.interface import entry_of
+
+TABLE = Path(__file__).with_name("runs.json")
+"""File of the study that is shipped with the package."""
+
+Accuracy = Literal["preview", "fast", "balanced", "accurate", "reference"]
+"""The names of `PRESETS`, from the loosest to the tightest."""
+
+
+class MeasuredAccuracy(Protocol):
+    """A measurement on the scene itself, such as a `trade.Trade`, which decides in place of the study."""
+
+    def decide(self, scene: State) -> Decision: ...
+
+
+PRESETS: dict[str, dict[str, float]] = {
+    "preview": {"energy": 25, "height": 5, "creep": 5, "penetration": 1, "penetration_95": 2.5, "penetration_max": 40,
+                "restlessness": 12, "contacts": 0.7, "forces": 40, "impact": 35},
+    "fast": {"energy": 12, "height": 3, "creep": 3, "penetration": 0.6, "penetration_95": 1, "penetration_max": 12,
+             "restlessness": 8, "contacts": 0.6, "forces": 35, "impact": 30},
+    "balanced": {"energy": 8, "height": 2, "creep": 2, "penetration": 0.35, "penetration_95": 0.6,
+                 "penetration_max": 8, "restlessness": 6, "contacts": 0.5, "forces": 30, "impact": 30},
+    "accurate": {"energy": 6, "height": 2, "creep": 2, "penetration": 0.2, "penetration_95": 0.5,
+                 "penetration_max": 5, "restlessness": 5, "contacts": 0.35, "forces": 25, "impact": 25},
+    "reference": {"energy": 4, "height": 2, "creep": 2, "penetration": 0.12, "penetration_95": 0.4,
+                  "penetration_max": 3, "restlessness": 5, "contacts": 0.2, "forces": 12, "impact": 20},
+}  # fmt: skip
+"""Preset -> tolerance of each error: in %, contacts in contacts per circle.
+
+"preview" tolerates the penetration in an impact with a step of 10 ms, which no number of sweeps changes. Up to
+"accurate" the tolerance of forces is loose because of frictionless piles, whose gaps the slop closes.
+"""
+
+MARGIN = 0.85
+"""Largest share of its tolerance that an error of the study should have: the study has few seeds of a few scenes."""
+
+KNOWN = 1.0
+"""Largest error, %, of a setting in cases with a known answer (`studies.known`). No preset takes one with more."""
+
+_NEARLY = 1.05
+"""Ratio of a step to the study's step up to which it is not divided: the mean of random radii around 1 m is not exactly
+1 m."""
+
+MOST_SUBSTEPS = 1024
+"""Largest number of substeps into which a preset divides a step."""
+
+FASTEST = 10.0
+"""Largest speed of circles, in √(g r), for which the study's time steps are meant; faster circles get shorter steps."""
+
+DENSITIES = {"densities": (2, 10, 100), "heavy on light": (10, 100), "light on heavy": (10,)}
+"""Ratios of two densities in the study's scenes, mixed and in layers."""
+
+LAYERED = 0.25
+"""Difference of the mean heights of dense and light circles, in the height of all, from which they count as layers."""
+
+SPREAD = 2.5
+"""Least height of a dam that breaks, over the height of its circles if they lay across the whole width of the box."""
+
+DENSE = 0.5
+"""Least share of the rectangle around it that the circles of a dam cover."""
+
+MEASURING = 600 * 500
+"""Time to measure a trade of 600 steps (six seeds, a reference, half its step), in steps of a preset."""
+
+
+class PresetWarning(UserWarning):
+    """Warning that a preset cannot keep its tolerances in a scene: it names the quantity, and what to do."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recommendation:
+    """A solver and a start for the runs of a scene, with their cost and errors. `print` shows all of it.
+
+    accuracy: name of the preset. solver: options of `solvers`, substeps included. warm_start: name of the
+    start. us: wall time of a step of the scene's Δt, μs, the mean over a run, on the processor `cpu`.
+    errors: name of an error -> its largest value over the study's kinds of scenes like this one, at the sizes next to
+    its own. tolerances: name of an error -> tolerance of the preset. reached: whether all errors are within the
+    tolerances; if not, no setting keeps them, and this is the nearest. outside: sentences on properties of the scene
+    that the study did not measure; empty if there are none. cheaper, better: settings of the presets next to this one,
+    and their costs; empty if there is none.
+    """
+
+    accuracy: str
+    solver: object
+    warm_start: str
+    us: float
+    dt: float
+    n_bodies: int
+    cpu: str
+    errors: dict
+    tolerances: dict
+    reached: bool
+    outside: tuple[str, ...] = ()
+    cheaper: str = ""
+    better: str = ""
+
+    def _rows(self) -> Iterator[tuple[str, str]]:
+        """(Name, text) of each line that `print` shows; the first line is the title."""
+        yield self.accuracy, f"{describe(self.solver)} from {self.warm_start}"
+        yield "cost", f"{self.us:,.0f} μs a step of {self.dt:g} s, {self.n_bodies:,} circles; {self.cpu}"
+        if not self.reached:
+            yield "nearest", "no setting of the study keeps all tolerances; this one comes nearest"
+        known = ((name, most) for name, most in self.tolerances.items() if name in self.errors)
+        percent = {name: "" if name == "contacts" else " %" for name in self.errors}
+        errors = ", ".join(f"{name} {self.errors[name]:.2g}{percent[name]} ({most:g})" for name, most in known)
+        yield "errors of a run (tolerances)", errors
+        yield from (("outside of the study", sentence) for sentence in self.outside)
+        if self.outside or not self.reached:
+            yield "what to do", _way_out(self.us)
+        yield from ((name, text) for name, text in (("cheaper", self.cheaper), ("better", self.better)) if text)
+
+    def __str__(self) -> str:
+        return "\n  ".join(f"{name}: {text}" for name, text in self._rows())
+
+    def _repr_html_(self) -> str:
+        (name, setting), *rows = self._rows()
+        return html.shown(f"{name}: {setting}", rows)
+
+
+@suggesting
+def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: float | None = None) -> Recommendation:
+    """The cheapest setting that keeps the tolerances of a preset, or the most accurate one that a budget allows.
+
+    accuracy: a name of `PRESETS`; by default "fast". budget_ms: wall time of a step of the scene's Δt, ms, on the
+    processor of the study. Raises ValueError if both are set, and on a bad value.
+    """
+    if accuracy is not None and budget_ms is not None:
+        raise ValueError("recommend: expected one of accuracy, budget_ms, got both")
+    numbers = scene_numbers(scene)
+    stiff = stiffness(scene, numbers)
+    candidates = _candidates(*_case(numbers, stiff))
+    if budget_ms is None:
+        name = one_of("accuracy", accuracy or "fast", PRESETS)
+        best = cheapest(candidates, PRESETS[name])
+    else:
+        limit = 1e3 * number("budget_ms", budget_ms, above=0)
+        affordable = [one for one in candidates if one["us"] <= limit]
+        if not affordable:
+            least = min(one["us"] for one in candidates)
+            raise ValueError(f"budget_ms: expected at least {least / 1e3:.3g}, the cheapest setting, got {budget_ms}")
+        best = min(affordable, key=lambda one: (excess(one["errors"], PRESETS["reference"]), one["us"]))
+        name = ["preview", *(preset for preset, most in PRESETS.items() if excess(best["errors"], most) <= 1)][-1]
+    names, tolerances = ["", *PRESETS, ""], dict(PRESETS[name])
+    at = names.index(name)
+    cheaper, better = (_neighbour(other, best, candidates) for other in (names[at - 1], names[at + 1]))
+    return Recommendation(
+        accuracy=name, solver=best["solver"], warm_start=best["start"], us=best["us"], dt=numbers.dt,
+        n_bodies=numbers.count, cpu=installed()["cpu"], errors=best["errors"], tolerances=tolerances,
+        reached=excess(best["errors"], tolerances) <= 1, outside=tuple(outside(numbers, stiff)),
+        cheaper=cheaper, better=better,
+    )  # fmt: skip
+
+
+def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
+    """A text on the setting of a preset, and its cost over that of the best setting; "" without a preset."""
+    if not accuracy:
+        return ""
+    other = cheapest(candidates, PRESETS[accuracy])
+    if other["solver"] == best["solver"]:
+        return f"{accuracy} is the same here"
+    return f"{accuracy}, {describe(other['solver'])}, {other['us'] / best['us']:.2g} times the time"
+
+
+class Decision(NamedTuple):
+    """The choice of `simulate(accuracy=…)` for a scene.
+
+    us: time of a step of the scene's Δt on the study's processor, μs; an upper bound if it is solved to a tolerance.
+    stiff: `Stiffness` of a scene that is too stiff for a few sweeps, or None. start: name of the start.
+    """
+
+    solver: object
+    start: str
+    us: float
+    stiff: Stiffness | None
+    warnings: tuple[str, ...]
+
+
+def decide(scene: State, accuracy: str | MeasuredAccuracy | None, *, sleep: bool = False) -> Decision:
+    """The `Decision` of a preset for a scene; without a name, that of "fast". Raises ValueError on an unknown name.
+
+    sleep: whether to choose only among solvers that support sleeping. If no setting of the study keeps the preset, the
+    decision has a warning, but only for a preset that was named.
+    """
+    if hasattr(accuracy, "decide"):
+        return accuracy.decide(scene)
+    numbers = scene_numbers(scene)
+    return decided(numbers, stiffness(scene, numbers), accuracy, sleep=sleep)
+
+
+def decided(numbers: SceneNumbers, stiff: Stiffness | None, accuracy: str | None, *, sleep: bool = False) -> Decision:
+    """`decide`, from the numbers and the stiffness of a scene."""
+    name = one_of("accuracy", accuracy or "fast", PRESETS)
+    best = _chosen(name, sleep, *_case(numbers, stiff))
+    sentences = _too_long(numbers, best["dt"])
+    if stiff and stiff.carried is not None:
+        price = f"up to {best['us'] / 1e3:.3g} ms a step of {numbers.dt:g} s"
+        sentences.append(f"{stiff.why}: solved to a tolerance, which takes {price}")
+    if accuracy is not None and excess(best["errors"], PRESETS[name]) > 1:
+        sentences.append(
+            f"no setting of the study keeps its tolerances for {numbers.count:,} circles; the nearest is taken "
+            f"(print(dc.recommend(scene, accuracy={name!r})) says more); {_way_out(best['us'])}"
+        )
+    warnings = tuple(f"accuracy={name!r}: {one}" for one in sentences)
+    return Decision(best["solver"], best["start"], best["us"], stiff, warnings)
+
+
+def _way_out(us: float) -> str:
+    """A sentence on how to measure what the study has not measured. us: time of a step of a setting, μs."""
+    return f"dc.measure_trade(scene) measures it on this scene, in about {MEASURING * us / 1e6:,.0f} s for 600 steps"
+
+
+@functools.lru_cache(256)
+def _chosen(accuracy: str, sleep: bool, *case) -> dict:
+    """The setting of the installed study (`_candidates`) for a preset."""
+    candidates = [one for one in _candidates(*case) if not sleep or entry_of(one["solver"]).can_sleep]
+    return cheapest(candidates, PRESETS[accuracy])
+
+
+@functools.cache
+def installed() -> dict:
+    """The study in the package."""
+    return json.loads(TABLE.read_text(encoding="utf-8"))
+
+
+def longest_step(numbers: SceneNumbers, dt: float) -> float:
+    """The time step of a scene, s, that corresponds to `dt` for circles of r = 1 m under 9.81 m/s²."""
+    speed = max(math.sqrt(numbers.gravity * numbers.radius), numbers.fastest / FASTEST)
+    return math.inf if speed == 0 else dt * math.sqrt(-GRAVITY[1]) * numbers.radius / speed
+
+
+def parts_for(numbers: SceneNumbers, dt: float) -> int:
+    """Number of substeps of a scene's Δt, with which a substep is at most `longest_step(numbers, dt)`, to 5 %.
+
+    It is a power of two, which scales impulses exactly, and at most `MOST_SUBSTEPS`.
+    """
+    ratio = numbers.dt / longest_step(numbers, dt)
+    return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
+
+
+def keeping(candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True) -> list[dict]:
+    """The candidates whose "errors" keep the tolerances.
+
+    margin: whether to return only candidates that keep the tolerances by `MARGIN`, if there are any.
+    """
+    shares = (MARGIN, 1.0) if margin else (1.0,)
+    kept = ([one for one in candidates if excess(one["errors"], tolerances) <= most] for most in shares)
+    return next(filter(None, kept), [])
+
+
+def excess(errors: Mapping[str, float | None], tolerances: Mapping[str, float]) -> float:
+    """The largest ratio of an error to its tolerance, of all errors that are known and have a tolerance."""
+    known = ((errors.get(name), most) for name, most in tolerances.items())
+    return max((value / most for value, most in known if value is not None), default=0.0)
+
+
+def cheapest(candidates: list[dict], tolerances: Mapping[str, float]) -> dict:
+    """The candidate with the least "us" of those that keep the tolerances; without one, the nearest candidate."""
+    if kept := keeping(candidates, tolerances):
+        return min(kept, key=lambda one: one["us"])
+    return min(candidates, key=lambda one: (excess(one["errors"], tolerances), one["us"]))
+
+
+def _case(numbers: SceneNumbers, stiff: Stiffness | None) -> tuple:
+    """Arguments of `_candidates` for a scene."""
+    substeps = {dt: parts_for(numbers, dt) for dt in _time_steps()}
+    solver = stiff and stiff.solver(substeps[TIME_STEP])
+    return numbers.count, tuple(kinds_of(numbers)), tuple(substeps.items()), solver
+
+
+def _time_steps() -> list[float]:
+    """Time steps of the study's settings, and that of the study's scenes, s, sorted."""
+    return sorted({setting["dt"] for setting in installed()["settings"]} | {TIME_STEP})
+
+
+def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list[dict]:
+    """Every setting as solver, start, cost (μs a step of the scene's Δt) and errors, for n circles of these kinds.
+
+    substeps: pairs of a time step of the study and the number of substeps of the scene's step for it.
+    Errors are the largest over the two sizes around the scene's and over the kinds that it is like. Times are those of
+    the slowest of these kinds, interpolated between the sizes by a power law.
+    stiff: the solver for a scene that a few sweeps cannot solve (`stiffness`), or None. It is then the only candidate.
+    Its cost is an upper bound, that of all its sweeps at the least price of a sweep in the study; its errors are those
+    of the study's best setting.
+    """
+    candidates, parts = [], dict(substeps)
+    kinds, low, high = _near(n, kinds)
+    for setting in installed()["settings"]:
+        if setting.get("known", 0.0) > KNOWN:
+            continue
+        measured = {size: kinds <= of_size.keys() for size, of_size in setting["errors"].items()}
+        if not (measured.get(low) and measured.get(high)):
+            continue  # Large piles, and kinds other than plain ones, were run with fewer settings.
+        alike = [setting["errors"][size][kind] for size in (low, high) for kind in kinds]
+        names = dict.fromkeys(name for one in alike for name in one)
+        errors = {name: max(one[name] for one in alike if name in one) for name in names}
+        times = {int(size): max(setting["us"][size][kind] for kind in kinds) for size, kept in measured.items() if kept}
+        k, options = parts[setting["dt"]], dict(setting["options"])
+        us, start = k * _us_at(n, times) * setting["dt"] / TIME_STEP, options.pop("start", "builtin")
+        solver = solver_from(options.pop("method"), options)
+        solver = replace(solver, substeps=k, most_substeps=solver.most_substeps and k * solver.most_substeps)
+        candidates.append({"solver": solver, "start": start, "us": us, "errors": errors, "dt": setting["dt"]})
+    if stiff is None:
+        return candidates
+    best = min(candidates, key=lambda one: excess(one["errors"], PRESETS["reference"]))
+    each = min(one["us"] / (one["solver"].sweeps * one["solver"].substeps) for one in candidates)
+    us = each * stiff.sweeps * stiff.substeps
+    return [{"solver": stiff, "start": "builtin", "us": us, "errors": best["errors"], "dt": TIME_STEP}]
+
+
+def _near(n: int, kinds: Sequence[str]) -> tuple[set[str], str, str]:
+    """(Kinds, smaller size, larger size): those of the kinds that the study has, or all kinds, and its sizes around n.
+
+    Beyond the sizes of a kind, such as drums, both are the nearest size.
+    """
+    sizes_of = installed()["kinds"]
+    wanted = sizes_of.keys() & kinds or set(sizes_of)
+    sizes = sorted(set.intersection(*(set(sizes_of[kind]) for kind in wanted)))
+    low = max((size for size in sizes if size <= n), default=sizes[0])
+    return wanted, str(low), str(min((size for size in sizes if size >= n), default=sizes[-1]))
+
+
+def kinds_of(numbers: SceneNumbers) -> list[str]:
+    """The kinds of scenes of the study (`studies.runs.KINDS`) that a scene is like, or lies between.
+
+    Segments, a dam and two densities demand more than a pile does, and were run with settings that no pile was run
+    with. A scene with one of them therefore does not count as a pile.
+    """
+    if numbers.gravity == 0.0:
+        return ["gas"]
+    walls = ["drum"] if numbers.is_dragged else ["terrain", "hopper"] if numbers.still else []
+    walls += ["piston"] if numbers.moving else []
+    kinds = [kind for kind in walls if kind in installed()["kinds"]]  # a small study has no walls
+    kinds += _of_densities(numbers)
+    if not {"hopper", "piston"} & set(kinds) and _is_dam(numbers):  # circles that stand in these flow as well
+        kinds.append("dam break")
+    is_pile = not kinds
+    if numbers.friction < FRICTION:
+        kinds.append("no friction")
+    if 0 < numbers.restitution < 0.8:
+        kinds.append("elastic 0.3")
+    if numbers.restitution > 0.3:
+        kinds.append("elastic 0.8")
+    if is_pile and numbers.radius_ratio > 1.05:
+        return [*kinds, "mixed radii"]
+    return [*kinds, "plain"] if is_pile and numbers.friction > 0 and numbers.restitution < 0.3 else kinds
+
+
+def _of_densities(numbers: SceneNumbers) -> list[str]:
+    """The study's kind of two densities that a scene is like: the next larger ratio, in layers or mixed."""
+    if numbers.density_ratio <= 1.001:
+        return []
+    layers = "heavy on light" if numbers.layers > 0 else "light on heavy"
+    names = (layers, "densities") if abs(numbers.layers) > LAYERED else ("densities",)
+    kinds = (
+        f"{name} 1 : {most}" for name in names for most in DENSITIES[name] if numbers.density_ratio <= 1.001 * most
+    )
+    return [next(kinds, f"{names[0]} 1 : {DENSITIES[names[0]][-1]}")]
+
+
+def _is_dam(numbers: SceneNumbers) -> bool:
+    """Whether circles stand so much higher than they could lie that they will flow apart: `SPREAD`, `DENSE`."""
+    if numbers.count < 2:
+        return False
+    diameter = 2.0 * numbers.radius
+    up, across = numbers.height + diameter, numbers.width + diameter
+    lying = max(2.0 * math.sqrt(3.0) * numbers.squares / numbers.box_width, diameter)
+    return up > SPREAD * lying and math.pi * numbers.squares > DENSE * up * across
+
+
+def _us_at(n: int, times: Mapping[int, float]) -> float:
+    """Time at n circles, by a power law through the two nearest measured sizes."""
+    sizes = sorted(times)
+    if len(sizes) == 1:
+        return times[sizes[0]] * n / sizes[0]
+    at = min(max(1, int(np.searchsorted(sizes, n))), len(sizes) - 1)
+    low, high = sizes[at - 1], sizes[at]
+    power = math.log(times[high] / times[low]) / math.log(high / low)
+    return times[low] * (max(n, sizes[0]) / low) ** power
+
+
+def outside(numbers: SceneNumbers, stiff: Stiffness | None) -> list[str]:
+    """Sentences on properties of a scene that lie outside the study; an empty list if none do."""
+    sizes, count, speed = installed()["sizes"], numbers.count, numbers.fastest
+    fastest = FASTEST * math.sqrt(numbers.gravity * numbers.radius)
+    measured = {kind: installed()["kinds"].get(kind, [math.inf]) for kind in kinds_of(numbers)}
+    missing = ", ".join(kind for kind, of in measured.items() if not min(of) / 3 <= count <= 3 * max(of))
+    price = "the cost is that of all sweeps, of which a scene at rest needs few, and the errors are those of the"
+    sentences = {
+        f"{count:,} circles; it has {min(sizes):,} to {max(sizes):,}": not min(sizes) / 3 <= count <= 3 * max(sizes),
+        f"{count:,} circles of the kind {missing}; it has none of about this size": missing,
+        f"radii that differ {numbers.radius_ratio:.3g} times; it has up to 3": numbers.radius_ratio > 3.001,
+        f"densities that differ {numbers.density_ratio:.3g} times; it has up to 100": numbers.density_ratio > 100.1,
+        f"friction {numbers.friction:g}; it has 0 and 0.5": numbers.friction > 0.5,
+        f"restitution {numbers.restitution:g}; it has 0, 0.3 and 0.8": numbers.restitution > 0.8,
+        f"{stiff and stiff.why}: solved to a tolerance in substeps; {price} study's best setting": stiff,
+        **dict.fromkeys(_too_long(numbers, max(_time_steps())), True),
+        f"a speed of {speed:.3g} m/s; it has up to {fastest:.3g}": 0 < fastest < speed,
+    }
+    return [sentence for sentence, is_so in sentences.items() if is_so]
+
+
+def _too_long(numbers: SceneNumbers, dt: float) -> list[str]:
+    """A sentence, in a list, if a step needs more than `MOST_SUBSTEPS` substeps. dt: of the setting in the study, s."""
+    needed = numbers.dt / longest_step(numbers, dt)
+    if needed <= MOST_SUBSTEPS * _NEARLY:
+        return []
+    return [
+        f"dt = {numbers.dt:g} s: circles of {numbers.radius:.3g} m at up to {numbers.fastest:.3g} m/s need "
+        f"{needed:,.0f} substeps, and get {MOST_SUBSTEPS:,}; give a dt of at most "
+        f"{numbers.dt * MOST_SUBSTEPS / needed:.2g} s"
+    ]

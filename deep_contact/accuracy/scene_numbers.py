@@ -1,0 +1,117 @@
+"""A scene in a few numbers, computed once, by which `presets`, `stiffness` and `trade` decide."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact.compiled import njit
+from deep_contact.state.arrays import Bodies
+from deep_contact.state.scales import mean
+from deep_contact.state.state import State
+
+
+class SceneNumbers(NamedTuple):
+    """Numbers of a scene. Up is against gravity; without gravity extents and layers are 0.
+
+    | field         | meaning                                                                       | unit |
+    |---------------|-------------------------------------------------------------------------------|------|
+    | count         | number of circles                                                             |      |
+    | dt            | time step                                                                     | s    |
+    | gravity       | magnitude of gravity                                                          | m/s² |
+    | friction      | μ                                                                             |      |
+    | restitution   | e                                                                             |      |
+    | is_dragged    | whether a surface of a segment moves                                          |      |
+    | still         | number of segments whose ends stay                                            |      |
+    | moving        | number of segments whose ends move                                            |      |
+    | radius        | mean radius                                                                   | m    |
+    | radius_ratio  | largest over smallest radius                                                  |      |
+    | lightest      | smallest mass                                                                 | kg   |
+    | mass_ratio    | largest over smallest mass                                                    |      |
+    | density_ratio | largest over smallest density                                                 |      |
+    | layers        | mean height of dense circles less that of light ones, over the height of all  |      |
+    | fastest       | speed of the fastest circle, end of a segment, or surface that drags circles  | m/s  |
+    | squares       | sum of the squares of the radii                                               | m²   |
+    | height, width | extent of all centres, up and across                                          | m    |
+    | box_width     | extent of the box across gravity                                              | m    |
+    """
+
+    count: int
+    dt: float
+    gravity: float
+    friction: float
+    restitution: float
+    is_dragged: bool
+    still: int
+    moving: int
+    radius: float
+    radius_ratio: float
+    lightest: float
+    mass_ratio: float
+    density_ratio: float
+    layers: float
+    fastest: float
+    squares: float
+    height: float
+    width: float
+    box_width: float
+
+
+def scene_numbers(state: State) -> SceneNumbers:
+    """The numbers of a scene, from one pass over its circles.
+
+    Fixed circles count in `count`, `radius` and `fastest`, and in no other number.
+    """
+    world, bodies, free = state.world, state.bodies, state.bodies
+    driven = [math.hypot(*velocity[end : end + 2]) for velocity in world.segment_velocities for end in (0, 2)]
+    if (fixed := bodies.is_fixed).any():
+        driven.append(float(np.hypot(*bodies.velocity[fixed].T).max()))
+        free = Bodies(*(values[~fixed] for values in bodies))
+    (left, low, right, high), (g_x, g_y) = world.box, world.gravity
+    gravity = math.hypot(g_x, g_y)
+    up = (-g_x / gravity, -g_y / gravity) if gravity > 0.0 else (0.0, 0.0)
+    speeds = [abs(speed) for speed in world.surface_speeds]
+    moving = sum(map(any, world.segment_velocities))
+    *measured, fastest, squares, height, width = _measured(free.position, free.velocity, free.mass, free.radius, up)
+    fastest = max(fastest, *driven, 0.0)
+    return SceneNumbers(
+        bodies.count, state.dt, gravity, world.friction, world.restitution, any(speeds), len(world.segments) - moving,
+        moving, mean(bodies.radius), *measured, max(fastest, *speeds, 0.0) if world.friction > 0 else fastest,
+        squares, height, width, high - low if abs(g_x) > abs(g_y) else right - left,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def _measured(position, velocity, mass, radius, up):
+    """The fields `radius_ratio` to `width` of `SceneNumbers`; ratios are 1 without circles. up: a unit vector, or 0."""
+    n = mass.shape[0]
+    if n == 0:
+        return 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    fastest = squares = 0.0
+    low = left = smallest = lightest = lightest_density = math.inf
+    high = right = largest = heaviest = densest = -math.inf
+    for i in range(n):
+        x, y = position[i, 0], position[i, 1]
+        height, across, density = up[0] * x + up[1] * y, up[1] * x - up[0] * y, mass[i] / radius[i] ** 2
+        low, high, left, right = min(low, height), max(high, height), min(left, across), max(right, across)
+        smallest, largest = min(smallest, radius[i]), max(largest, radius[i])
+        lightest, heaviest = min(lightest, mass[i]), max(heaviest, mass[i])
+        lightest_density, densest = min(lightest_density, density), max(densest, density)
+        fastest = max(fastest, velocity[i, 0] ** 2 + velocity[i, 1] ** 2)
+        squares += radius[i] ** 2
+    layers, heights, dense = 0.0, 0.0, 0
+    if densest > lightest_density and high > low:
+        middle, all_heights = math.sqrt(densest * lightest_density), 0.0
+        for i in range(n):
+            height = up[0] * position[i, 0] + up[1] * position[i, 1]
+            all_heights += height
+            if mass[i] / radius[i] ** 2 > middle:
+                heights += height
+                dense += 1
+        layers = (heights / dense - (all_heights - heights) / (n - dense)) / (high - low)
+    return (
+        largest / smallest, lightest, heaviest / lightest, densest / lightest_density, layers,
+        math.sqrt(fastest), squares, high - low, right - left,
+    )  # fmt: skip

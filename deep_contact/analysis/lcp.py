@@ -1,0 +1,114 @@
+"""The contact problem as matrices, which the engine never builds.
+
+It is the form of textbooks, and of problems from other programs, whose bodies are unknown. `matrix_solvers` and `exact`
+solve it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from deep_contact.state.equality import by_value
+from deep_contact.state.state import State
+from deep_contact.state.validation import expect, floats, refuse_where
+from deep_contact.stepping.metrics import free_velocity
+from deep_contact.stepping.segments import ground_velocities
+
+
+@by_value
+class ContactProblem(NamedTuple):
+    """Find λ with 0 ≤ λ_n ⟂ (A λ + b)_n ≥ 0, and |λ_t| ≤ μ λ_n against the slip (A λ + b)_t (Eq 2.27, 2.29).
+
+    r = 2 m; the rows of contact i are 2 i (normal) and 2 i + 1 (tangent). If the bodies are unknown, as in problems of
+    other programs, jacobian, inverse_mass and free_velocity are None.
+    The thesis writes A = J M⁻¹ Jᵀ Δt because its λ is a force; here λ is an impulse.
+    """
+
+    A: sparse.csr_array  # (r, r), 1/kg: J M⁻¹ Jᵀ
+    b: np.ndarray  # (r,), m/s: J (v + Δt M⁻¹ F) plus velocities of segments and surfaces; v after the step's impacts
+    jacobian: sparse.csr_array | None = None  # (r, 3n): J; J v is the share of the circles in the row velocities
+    inverse_mass: np.ndarray | None = None  # (3n,): diagonal of M⁻¹ for (v_x, v_y, ω) of every circle
+    free_velocity: np.ndarray | None = None  # (3n,), m/s, rad/s: v + Δt M⁻¹ F for (v_x, v_y, ω) of every circle
+    friction: np.ndarray | None = None  # (m,): μ of every contact
+
+    def velocities(self, impulse: np.ndarray) -> np.ndarray:
+        """(v_x, v_y, ω) of every circle after the impulses, v + M⁻¹ (Δt F + Jᵀ λ), (3n,)."""
+        if self.jacobian is None or self.inverse_mass is None or self.free_velocity is None:
+            raise ValueError("jacobian: expected that of the bodies, got None: a problem of matrices has no bodies")
+        return self.free_velocity + self.inverse_mass * (self.jacobian.T @ impulse)
+
+
+def check_problem(problem: ContactProblem) -> ContactProblem:
+    """The problem with friction, validated, in float64 and with A sorted. Raises ValueError naming field and value."""
+    A = sparse.csr_array(problem.A, dtype=np.float64)
+    A.sort_indices()
+    size = A.shape[0]
+    if A.shape != (size, size) or size % 2:
+        raise ValueError(f"A: expected a square matrix with two rows a contact, got shape {A.shape}")
+    b, friction = floats("b", problem.b, (size,)), floats("friction", problem.friction, (size // 2,))
+    if not np.isfinite(A.data).all():
+        raise ValueError(f"A: expected finite entries, got {A.data[~np.isfinite(A.data)][0]}")
+    diagonal = A.diagonal()
+    for i in np.flatnonzero(~(diagonal > 0)):
+        raise ValueError(f"A[{i}, {i}]: expected a number > 0, got {diagonal[i]}")
+    refuse_where(friction < 0, "friction", friction, "a number >= 0")
+    jacobian = problem.jacobian
+    if jacobian is None:
+        return ContactProblem(A, b, friction=friction)
+    jacobian = sparse.csr_array(jacobian, dtype=np.float64)
+    columns = jacobian.shape[1]
+    if jacobian.shape[0] != size or columns % 3:
+        raise ValueError(f"jacobian: expected {size} rows and three columns a body, got shape {jacobian.shape}")
+    inverse_mass = floats("inverse_mass", problem.inverse_mass, (columns,))
+    least = inverse_mass.min(initial=0.0)
+    expect(least >= 0, f"inverse_mass: expected numbers >= 0, got {least}")
+    free_velocity = floats("free_velocity", problem.free_velocity, (columns,))
+    return ContactProblem(A, b, jacobian, inverse_mass, free_velocity, friction)
+
+
+def natural_residual(problem: ContactProblem, impulse: np.ndarray) -> float:
+    """`metrics.residual` from matrices, m/s: the largest |λ − Π(λ − u / d)| d over all rows, d the diagonal of A."""
+    diagonal = problem.A.diagonal()
+    free = impulse - (problem.A @ impulse + problem.b) / diagonal
+    largest = problem.friction * np.maximum(impulse[::2], 0.0)
+    wrong = np.empty_like(impulse)
+    wrong[::2] = impulse[::2] - np.maximum(free[::2], 0.0)
+    wrong[1::2] = impulse[1::2] - np.clip(free[1::2], -largest, largest)
+    return float(np.max(np.abs(wrong) * diagonal, initial=0.0))
+
+
+def contact_problem(state: State) -> ContactProblem:
+    """Assemble A and b of a state that has contacts."""
+    if state.contacts is None:
+        raise ValueError("state.contacts: expected the contacts to have been found, got None (see dc.step)")
+    bodies, contacts = state.bodies, state.contacts
+    n, m = bodies.count, contacts.count
+    inverse_mass = np.repeat(1 / bodies.mass, 3)
+    inverse_mass[2::3] = 1 / bodies.inertia
+    free = np.column_stack(free_velocity(state)).ravel()
+
+    rows, columns, entries = [], [], []
+    tangent = np.column_stack([contacts.normal[:, 1], -contacts.normal[:, 0]])
+    for body, side in ((contacts.body_a, -1.0), (contacts.body_b, 1.0)):
+        i = np.flatnonzero(body < n)
+        k = body[i]
+        arm = contacts.position[i] - bodies.position[k]
+        if side > 0:
+            # The arm of b as in the engine: positions are exact to rounding, separations define the overlap.
+            arm = -(bodies.radius[k] + 0.5 * contacts.separation[i])[:, None] * contacts.normal[i]
+        for kind, direction in enumerate((contacts.normal, tangent)):
+            turn = arm[:, 0] * direction[i, 1] - arm[:, 1] * direction[i, 0]
+            for axis, value in enumerate((direction[i, 0], direction[i, 1], turn)):
+                rows.append(2 * i + kind)
+                columns.append(3 * k + axis)
+                entries.append(side * value)
+    index = (np.concatenate(rows), np.concatenate(columns))
+    jacobian = sparse.csr_array(sparse.coo_array((np.concatenate(entries), index), shape=(2 * m, 3 * n)))
+    b = jacobian @ free
+    b += ground_velocities(contacts, state.world, n).T.ravel()
+    A = sparse.csr_array(jacobian @ sparse.diags_array(inverse_mass) @ jacobian.T)
+    A.sort_indices()
+    return ContactProblem(A, b, jacobian, inverse_mass, free, np.full(m, state.world.friction))

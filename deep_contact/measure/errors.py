@@ -1,0 +1,264 @@
+"""Observations of a run, and errors of an ensemble of runs against another one, with intervals.
+
+A pile is chaotic: two runs differ after a second, whatever the solver. So an error compares the means and distributions
+of an ensemble of seeds with those of a reference, the limit of small steps. Lengths are counted in mean radii r and
+speeds in √(g r), so that errors are the same at every scale. Without gravity a tenth of the fastest circle's speed
+takes the place of √(g r), as in `presets.longest_step`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from deep_contact.accuracy.presets import FASTEST
+from deep_contact.state.equality import by_value
+from deep_contact.state.state import State
+from deep_contact.state.validation import brief
+
+LOADS = np.linspace(0.0, 6.0, 121)
+"""Values of λ_n / mean λ_n at which its distribution is stored."""
+
+REST = 20
+"""Number of last observations of a run that count as at rest."""
+
+SETTLED = 0.2
+"""Root mean square speed of the reference at rest, √(g r), below which heights count as settled; in a drum it is
+larger."""
+
+TOUCHING = 1e-3
+"""Gap, in radii, below which two circles count as in contact: rigid ones that touch have a gap of 0."""
+
+LARGEST = 1e100
+"""Largest value of a quantity: sums of values have to be finite."""
+
+ERRORS = {
+    "energy": "kinetic-energy curve: Σ |⟨E_k⟩ − ⟨E_k⟩*| / Σ ⟨E_k⟩* over the whole run, %",
+    "height": "settled height of the centre of mass: difference, % of the reference's",
+    "creep": "change of the settled height: difference of speeds, % of √(g r)",
+    "penetration": "penetration at rest, mean over contacts, % of r",
+    "penetration_95": "penetration at rest, 95th percentile over contacts, % of r",
+    "penetration_max": "deepest penetration at any time, mean over seeds, % of r",
+    "restlessness": "rms speed at rest above the reference's, % of √(g r)",
+    "contacts": "contacts per circle at rest, gap below 0.1 % of r: difference",
+    "forces": "distribution of λ_n / mean λ_n at rest: Kolmogorov-Smirnov distance, %",
+    "impact": "largest force on the box in an interval: difference, % of the reference's",
+}
+"""Name of an error -> its definition and unit. All but the penetrations, which should be 0, are against the reference.
+
+Energy, height and force are those of the whole pile (the force from its momentum: M (g + dv / dt) with v against
+gravity, in weights; its mean at rest is 1, exactly). The distribution of forces is the classical fingerprint of a
+granular packing (Radjai et al., Phys. Rev. Lett. 77, 1996); penetration and restlessness are what engine users look at
+(Catto, Solver2D, 2024).
+"""
+
+
+@by_value
+class Observation(NamedTuple):
+    """Observations of one run, at T equally spaced times.
+
+    | field       | meaning                                                                    | shape    | unit    |
+    |-------------|----------------------------------------------------------------------------|----------|---------|
+    | kinetic     | kinetic energy                                                             | (T,)     | M u²    |
+    | height      | of the centre of mass above the lowest corner of the box, against gravity  | (T,)     | r       |
+    | speed       | root mean square speed of the circles                                      | (T,)     | u       |
+    | penetration | mean, 95th percentile and largest over the contacts                        | (T, 3)   | r       |
+    | contacts    | pairs whose gap is below `TOUCHING`, per circle                            | (T,)     | –       |
+    | force       | mean force on the box along gravity from time to time; None without it     | (T − 1,) | M g     |
+    | loads       | share of the λ_n > 0 at rest that are at most LOADS · mean; None if unknown | (121,)   | –       |
+    | interval    | time between two observations                                              | ()       | r / u   |
+    | quantities  | name -> values of a quantity of the user, or a sentence on why there are none | (T, …) | its own |
+
+    u = √(g r). Without gravity u is a tenth of the fastest circle's speed at the first time, and the height is 0.
+    """
+
+    kinetic: np.ndarray
+    height: np.ndarray
+    speed: np.ndarray
+    penetration: np.ndarray
+    contacts: np.ndarray
+    force: np.ndarray | None
+    loads: np.ndarray | None
+    interval: float
+    quantities: dict[str, np.ndarray | str]
+
+
+def observation(stored: Mapping) -> Observation:
+    """The observation whose fields JSON has stored as lists."""
+    arrays = {name: np.array(of) if isinstance(of, list) else of for name, of in stored.items()}
+    own = {name: of if isinstance(of, str) else np.array(of) for name, of in stored["quantities"].items()}
+    return Observation(**arrays | {"quantities": own})
+
+
+def observe(
+    states: Iterable[State], quantities: Mapping[str, Callable[[State], object]] = MappingProxyType({})
+) -> Observation:
+    """The `Observation` of a run from its states, with contacts, at equally spaced times, such as a `Trajectory`.
+
+    quantities: name -> function of a state that returns a number or an array. Impulses are the carried ones.
+    Raises ValueError with fewer than `REST` states, and if there is neither gravity nor motion.
+    """
+    rows, momentum, loads, times, unit = [], [], [], [], None
+    own: dict[str, list | str] = {name: [] for name in quantities}
+    for state in states:
+        own = {name: with_next(name, quantity, state, own[name]) for name, quantity in quantities.items()}
+        bodies = state.bodies._replace(mass=state.bodies.free_mass)
+        g, r, mass = float(np.hypot(*state.world.gravity)), float(bodies.radius.mean()), float(bodies.mass.sum())
+        up, low, high = -np.array(state.world.gravity) / (g or 1.0), state.world.box[:2], state.world.box[2:]
+        squares = (bodies.velocity**2).sum(axis=1)
+        unit = unit or math.sqrt(g * r) or math.sqrt(squares.max()) / FASTEST
+        if unit == 0:
+            raise ValueError("states: expected gravity or motion, by which errors of a run are scaled, got none")
+        kinetic = 0.5 * (bodies.mass @ squares + bodies.inertia @ bodies.spin**2) / (mass * unit**2)
+        height = (bodies.mass @ bodies.position @ up / mass - np.minimum(up * low, up * high).sum()) / r
+        speed = np.sqrt(squares.mean()) / unit
+        depth = np.maximum(0.0, -state.contacts.separation) / r
+        deep = (depth.mean(), np.percentile(depth, 95), depth.max()) if depth.size else (0.0, 0.0, 0.0)
+        touching = np.count_nonzero(state.contacts.separation <= TOUCHING * r) / bodies.count
+        rows.append((kinetic, height, speed, *deep, touching))
+        momentum.append(bodies.mass @ bodies.velocity @ up / mass / unit)
+        impulses = state.contacts.normal_start
+        loads.append(impulses[impulses > 0])
+        times.append(state.time * unit / r)
+    if len(rows) < REST:
+        raise ValueError(f"states: expected at least {REST}, got {len(rows)}")
+    table = np.array(rows)
+    interval = (times[-1] - times[0]) / (len(times) - 1)
+    force = 1.0 + np.diff(momentum) / interval if g else None
+    at_rest = np.concatenate([found / found.mean() for found in loads[-REST:] if found.size] or [np.empty(0)])
+    known = np.searchsorted(np.sort(at_rest), LOADS, side="right") / at_rest.size if at_rest.size else None
+    values = {name: seen if isinstance(seen, str) else np.array(seen) for name, seen in own.items()}
+    return Observation(*table[:, :3].T, table[:, 3:6], table[:, 6], force, known, interval, values)
+
+
+def with_next(name: str, quantity: Callable, state: State, before: list | str) -> list | str:
+    """The values of a quantity before, and its value for this state; or a sentence on what is wrong with it."""
+    if isinstance(before, str):
+        return before
+    where = f"quantities[{name!r}] at t = {state.time:.3g} s: expected"
+    try:
+        value = np.asarray(quantity(state), float)
+    except Exception as error:
+        return f"{where} a number or an array, got {type(error).__name__}: {error}"
+    if not (value.size and (np.abs(value) <= LARGEST).all()):
+        return f"{where} finite numbers up to {LARGEST:g}, got {brief(value.tolist())}"
+    if before and before[0].shape != value.shape:
+        return f"{where} the shape that it had before, {before[0].shape}, got {value.shape}"
+    return [*before, value]
+
+
+def errors(found: Sequence[Observation], reference: Sequence[Observation]) -> dict[str, float | None]:
+    """The `ERRORS` of an ensemble against the reference's ensemble of the same scenes; None for unknown errors.
+
+    A quantity q of the user has two errors, as shares of the reference's size. "q" is the error of the mean curve,
+    Σ |⟨q⟩ − ⟨q⟩*| / Σ |⟨q⟩*|. "q spread" is the Wasserstein distance between the distributions of q's mean over a run,
+    over seeds. Both are absolute if the reference is 0.
+
+    Without gravity nothing comes to rest: only the energy and the deepest penetration are known. A share of nothing,
+    such as of the energy of circles that never move, is unknown too.
+    """
+    mean, true = _means(found), _means(reference)
+    at_rest = slice(-REST, None)
+
+    def creep(means):
+        """Slope of the straight line through the settled heights, √(g r)."""
+        return np.polyfit(reference[0].interval * np.arange(REST), means["height"][at_rest], 1)[0]
+
+    def share(difference, whole):
+        return difference / abs(whole) if whole else None
+
+    height = true["height"][at_rest].mean()
+    values = {
+        "energy": share(np.abs(mean["kinetic"] - true["kinetic"]).sum(), true["kinetic"].sum()),
+        "height": share(abs(mean["height"][at_rest].mean() - height), height),
+        "creep": abs(creep(mean) - creep(true)) if true["speed"][at_rest].mean() < SETTLED else None,
+        "penetration": mean["penetration"][at_rest, 0].mean(),
+        "penetration_95": mean["penetration"][at_rest, 1].mean(),
+        "penetration_max": np.mean([one.penetration[:, 2].max() for one in found]),
+        "restlessness": max(0.0, mean["speed"][at_rest].mean() - true["speed"][at_rest].mean()),
+        "contacts": abs(mean["contacts"][at_rest].mean() - true["contacts"][at_rest].mean()),
+        "forces": None if mean["loads"] is None else np.abs(mean["loads"] - true["loads"]).max(),
+        "impact": None if true["peak"] is None else share(abs(mean["peak"] - true["peak"]), true["peak"]),
+    }
+    if true["peak"] is None:
+        values |= dict.fromkeys(values.keys() - {"energy", "penetration_max"})
+    in_units = {
+        name: None if value is None else float(value) * (1.0 if name == "contacts" else 100.0)
+        for name, value in values.items()
+    }
+    return in_units | _of_quantities(found, reference)
+
+
+def _of_quantities(found: Sequence[Observation], reference: Sequence[Observation]) -> dict[str, float | None]:
+    values: dict = {}
+    for name in reference[0].quantities:
+        curves, true = ([run.quantities[name] for run in runs] for runs in (found, reference))
+        values |= {name: None, f"{name} spread": None}
+        if any(isinstance(one, str) for one in (*curves, *true)) or curves[0].shape != true[0].shape:
+            continue
+        size = float(np.abs(np.mean(true, axis=0)).sum()) or float(true[0].size)
+        values[name] = float(np.abs(np.mean(curves, axis=0) - np.mean(true, axis=0)).sum()) / size
+        means, true_means = (np.sort([one.mean() for one in runs]) for runs in (curves, true))
+        values[f"{name} spread"] = float(np.abs(means - true_means).mean()) * true[0].size / size
+    return values
+
+
+def intervals(
+    found: Sequence[Observation], reference: Sequence[Observation], *, resamples: int = 400
+) -> dict[str, tuple[float, float, float] | None]:
+    """Each of the `errors` with its `interval`: name -> (value, low, high), or None.
+
+    The same seeds are drawn for both ensembles. Raises ValueError where these differ in length.
+    """
+    if len(found) != len(reference):
+        raise ValueError(f"found: expected {len(reference)} runs, as the reference has, got {len(found)}")
+    values = errors(found, reference)
+    known = [name for name, value in values.items() if value is not None]
+
+    def of_seeds(drawn):
+        pairs = (([found[i] for i in row], [reference[i] for i in row]) for row in drawn)
+        resampled = [errors(*pair) for pair in pairs]
+        # A resampling may lack an error that the whole ensemble has, such as that of settled heights.
+        return np.array([[values[n] if one[n] is None else one[n] for n in known] for one in resampled], float)
+
+    three = interval(of_seeds, len(found), resamples=resamples).T.tolist()
+    return dict.fromkeys(values) | {name: tuple(numbers) for name, numbers in zip(known, three)}
+
+
+def _means(runs: Sequence[Observation]) -> dict:
+    """Mean curves of an ensemble, and its mean peak of the force."""
+    names = ("kinetic", "height", "speed", "penetration", "contacts")
+    means = {name: np.mean([getattr(run, name) for run in runs], axis=0) for name in names}
+    known = all(run.loads is not None for run in runs)
+    means["peak"] = None if runs[0].force is None else np.mean([run.force.max() for run in runs])
+    return means | {"loads": np.mean([run.loads for run in runs], axis=0) if known else None}
+
+
+def interval(statistic: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: int = 2000) -> np.ndarray:
+    """[value, low, high], (3, …): a statistic of scenes and its bootstrap interval of 95 % by percentiles (Efron 1979).
+
+    statistic: function of the indices of drawn scenes, (rows, count), one row a resampling, that returns (rows, …).
+    count: number of scenes. One scene has no spread: its interval is the value.
+    """
+    value = statistic(np.arange(count)[None])[0]
+    if count == 1:
+        return np.stack([value] * 3)
+    bootstrap = stats.bootstrap(
+        (np.arange(count),), lambda drawn, axis: np.moveaxis(statistic(np.atleast_2d(drawn)), 0, -1),
+        vectorized=True, method="percentile", n_resamples=resamples, random_state=0,
+    )  # fmt: skip
+    return np.stack([value, *bootstrap.confidence_interval])
+
+
+def with_reach(error: Sequence[float]) -> tuple[float, np.ndarray]:
+    """An error of `intervals`, and the distances of the lower and the upper end of its interval, (2, 1).
+
+    A bootstrap interval by percentiles may not contain the value; the distance of the end on that side is then 0.
+    """
+    value, low, high = error
+    return value, np.maximum([[value - low], [high - value]], 0.0)

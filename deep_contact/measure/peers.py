@@ -1,0 +1,222 @@
+"""The same scene in other engines: Box2D 2.3 (`Box2D`), Chipmunk (`pymunk`) and Box2D v3 (`pyb2d3`).
+
+Tests use them as oracles, benchmarks and studies for comparison. An adapter is built from a `State`: its circles with
+their masses, its box, segments that stand still, gravity, friction and restitution. It has `step(dt, sweeps,
+position_sweeps)`, `run` for many steps, `bodies()` and `contact_count()`.
+
+Slop, thresholds and largest speeds are the engines' own, which are absolute lengths and speeds. Only Chipmunk's slop
+and the walls' radius are set by the adapters, and follow the scene (`State.scales`). Sleeping and continuous collision
+are off, warm starting is on. Contacts are not passed on: the first step starts from zero. An adapter raises ImportError
+where its package is not installed, and ValueError for a bad state, for segments that move, and for fixed circles.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from deep_contact.state import constants
+from deep_contact.state.arrays import Bodies, corners
+from deep_contact.state.checks import check_state
+from deep_contact.state.fields import check_bodies
+from deep_contact.state.state import State
+from deep_contact.state.validation import brief, expect
+from deep_contact.state.world import World
+from deep_contact.stepping.problem import contacts_of
+
+
+class _Peer:
+    """Base class of the adapters. A subclass builds its world and lists its bodies in `_bodies`, in our order.
+
+    name: name of the engine. package: name of its Python module and distribution. reach: gap below which it makes a
+    contact, m.
+    """
+
+    name: str
+    package: str
+    reach = 0.0
+    _fields: tuple[str, ...]
+    """The engine's names of position, velocity, angle, angular velocity and mass of a body."""
+
+    def __init__(self, state: State):
+        try:
+            self._library = importlib.import_module(self.package)
+        except ImportError as error:
+            message = f"{self.package} is not installed; it comes with `pip install deep-contact[peers]`"
+            raise ImportError(message) from error
+        self._state = check_state(state)
+        world, bodies = state.world, state.bodies
+        still = not np.any(world.segment_velocities)
+        expect(still, f"segment_velocities: expected none for {self.name}, got {brief(world.segment_velocities)}")
+        expect(not bodies.is_fixed.any(), f"mass: expected no fixed circles for {self.name}, got {brief(bodies.mass)}")
+
+    def _circles(self) -> Iterator[tuple]:
+        """(Position, velocity, angle, spin, mass, radius) of each circle, as Python floats."""
+        bodies = self._state.bodies
+        vectors = (map(tuple, values.tolist()) for values in (bodies.position, bodies.velocity))
+        return zip(*vectors, *(values.tolist() for values in (bodies.angle, bodies.spin, bodies.mass, bodies.radius)))
+
+    def run(self, steps: int, *options) -> None:
+        """Do `steps` steps. options: of `step`."""
+        for _ in range(steps):
+            self.step(*options)
+
+    def bodies(self) -> Bodies:
+        """The present bodies. The masses are the engine's (float32 in Box2D), the radii ours."""
+        columns = [[getattr(body, name) for body in self._bodies] for name in self._fields]
+        position, velocity = (np.array([tuple(xy) for xy in column]).reshape(-1, 2) for column in columns[:2])
+        return check_bodies(Bodies(position, velocity, *map(np.array, columns[2:]), self._state.bodies.radius))
+
+    def contact_count(self) -> int:
+        """Number of contacts at the present positions, gaps of at most `reach`, which is what engines report."""
+        state, bodies, near = self._state, self.bodies(), 0.5 * self.reach
+        scales = state.scales._replace(wall_skin=state.scales.wall_skin + near)
+        grown = bodies._replace(radius=bodies.radius + near)
+        return contacts_of(state.replace(bodies=grown, world=replace(state.world, scales=scales))).count
+
+
+class Box2D23(_Peer):
+    """Box2D 2.3 through `pybox2d` 2.3.10, the engine of the thesis.
+
+    The box is one loop shape, as in the thesis; its edges have a skin of 0.01 m. Segments are edge shapes, each on its
+    own, so their joints are felt.
+    """
+
+    name, package = "Box2D 2.3", "Box2D"
+    _fields = ("position", "linearVelocity", "angle", "angularVelocity", "mass")
+
+    def __init__(self, state: State):
+        super().__init__(state)
+        b2, world = self._library, _at_rest(self._state.world)
+        self.world = b2.b2World(gravity=world.gravity, doSleep=False, continuousPhysics=False, warmStarting=True)
+        material = {"friction": world.friction, "restitution": world.restitution}
+        walls = b2.b2FixtureDef(shape=b2.b2LoopShape(vertices=corners(world.box)), **material)
+        # The child edge of a contact is the wall. Edges are numbered as our walls: bottom, right, top, left.
+        self.world.CreateStaticBody(fixtures=walls).fixtures[0].userData = -1
+        for s, (x_0, y_0, x_1, y_1) in enumerate(world.segments):
+            edge = b2.b2FixtureDef(shape=b2.b2EdgeShape(vertices=[(x_0, y_0), (x_1, y_1)]), **material)
+            self.world.CreateStaticBody(fixtures=edge).fixtures[0].userData = -5 - s
+        self._bodies = []
+        for i, (position, velocity, angle, spin, mass, radius) in enumerate(self._circles()):
+            body = self.world.CreateDynamicBody(
+                position=position, linearVelocity=velocity, angle=angle, angularVelocity=spin, allowSleep=False
+            )
+            body.CreateCircleFixture(radius=radius, density=mass / (math.pi * radius**2), **material).userData = i
+            self._bodies.append(body)
+
+    def step(self, dt: float, sweeps: int, position_sweeps: int) -> None:
+        """One step: `sweeps` velocity iterations, at most `position_sweeps` position iterations."""
+        self.world.Step(dt, sweeps, position_sweeps)
+
+
+class Pymunk(_Peer):
+    """Chipmunk 2D through `pymunk`.
+
+    One iteration sweeps normal and friction rows once and corrects positions by pseudo-velocities in the
+    same pass, so `sweeps` is its `iterations`, and `position_sweeps` is ignored. Walls are set as ours are, the slop to
+    `slop` times ours, and the positional bias to the share `bias` of the penetration a step. Chipmunk multiplies
+    friction and restitution of the two shapes (where Box2D takes root and maximum), so each shape is given the root.
+    Two differences remain: restitution acts at any approach speed, and positions are integrated before contacts are
+    found.
+    """
+
+    name = package = "pymunk"
+    _fields = ("position", "velocity", "angle", "angular_velocity", "mass")
+
+    def __init__(self, state: State, *, threads: int = 1, slop: float = 1.0, bias: float = constants.BAUMGARTE):
+        super().__init__(state)
+        pymunk, world = self._library, self._state.world
+        self.space = pymunk.Space(threaded=threads > 1)
+        self.space.threads = threads
+        self.space.gravity = world.gravity
+        self.space.collision_slop = slop * self._state.scales.slop
+        # Chipmunk's bias is the share of the penetration that is left after one second.
+        self.space.collision_bias = (1 - bias) ** (1 / self._state.dt)
+        self._material = math.sqrt(world.friction), math.sqrt(world.restitution)
+        speeds = (0.0,) * 4 + (world.surface_speeds or (0.0,) * len(world.segments))
+        for ends, speed in zip(_edges(world), speeds):
+            segment = pymunk.Segment(self.space.static_body, *ends, self._state.scales.wall_skin)
+            segment.surface_velocity = tuple(speed * (segment.b - segment.a).normalized())
+            self._add(segment)
+        self._bodies = []
+        for position, velocity, angle, spin, mass, radius in self._circles():
+            body = pymunk.Body(mass, pymunk.moment_for_circle(mass, 0, radius))
+            body.position, body.velocity, body.angle, body.angular_velocity = position, velocity, angle, spin
+            self._add(pymunk.Circle(body, radius), body)
+            self._bodies.append(body)
+
+    def _add(self, shape, *body) -> None:
+        shape.friction, shape.elasticity = self._material
+        self.space.add(*body, shape)
+
+    def step(self, dt: float, sweeps: int, position_sweeps: int = 0) -> None:
+        """One step of `sweeps` iterations."""
+        self.space.iterations = sweeps
+        self.space.step(dt)
+
+
+class Box2D3(_Peer):
+    """Box2D v3 through `pyb2d3`, on `threads` threads.
+
+    Its Soft Step solver has no velocity sweeps. A step is divided into substeps, and each substep goes over all
+    contacts twice: once with soft position bias ("solve") and once without ("relax"), with an integration of positions
+    in between. `sweeps` is the number of substeps here, so that a "sweep" is such a pair; contacts are found once a
+    step. `position_sweeps` is ignored. Walls are capsules of the skin's radius, because v3's segments have no radius.
+    It makes contacts ahead of touch (`B2_SPECULATIVE_DISTANCE`). hertz: stiffness of its soft contacts, Hz; the engine
+    limits it to a quarter of the rate of substeps.
+    """
+
+    name, package = "Box2D v3", "pyb2d3"
+    reach = 4 * constants.LINEAR_SLOP
+
+    def __init__(self, state: State, *, threads: int = 1, hertz: float = 30.0):
+        super().__init__(state)
+        b3, world = self._library, _at_rest(self._state.world)
+        self.world = b3.World(thread_pool=b3.ThreadPool(threads) if threads > 1 else None, gravity=world.gravity)
+        self.world.sleeping_enabled = False
+        self.world.continuous_enabled = False
+        self.world.set_contact_tuning(hertz, 10.0, 3.0)  # damping and speed of pushing apart, m/s, are the defaults
+        material = b3.surface_material(friction=world.friction, restitution=world.restitution)
+        ground = self.world.create_static_body()
+        for ends in _edges(world):
+            ground.create_shape(b3.shape_def(material=material), b3.capsule(*ends, self._state.scales.wall_skin))
+        self._bodies, self._batch = [], b3.Bodies()
+        for position, velocity, angle, spin, mass, radius in self._circles():
+            motion = {"linear_velocity": velocity, "angular_velocity": spin, "enable_sleep": False}
+            body = self.world.create_dynamic_body(position=position, rotation=b3.make_rot(angle), **motion)
+            shape = b3.shape_def(material=material, density=mass / (math.pi * radius**2))
+            body.create_shape(shape, b3.circle(radius=radius))
+            self._bodies.append(body)
+            self._batch.append(body)
+
+    def step(self, dt: float, sweeps: int, position_sweeps: int = 0) -> None:
+        """One step of `sweeps` substeps."""
+        self.world.step(dt, sweeps)
+
+    def bodies(self) -> Bodies:
+        """The present bodies, with Box2D's masses (float32 in all but the radius). Angles lie in (-π, π]."""
+        batch = self._batch
+        angle = np.arctan2(*batch.get_rotations().astype(np.float64).T[::-1])
+        mass = np.array([body.mass for body in self._bodies])
+        motion = batch.get_linear_velocities(), angle, batch.get_angular_velocities()
+        return check_bodies(Bodies(batch.get_positions(), *motion, mass, self._state.bodies.radius))
+
+
+ENGINES = {adapter.name: adapter for adapter in (Box2D23, Pymunk, Box2D3)}
+"""Name -> adapter."""
+
+
+def _at_rest(world: World) -> World:
+    if world.surface_speeds:
+        raise ValueError(f"surface_speeds: expected none for Box2D, got {world.surface_speeds}")
+    return world
+
+
+def _edges(world: World) -> list[tuple]:
+    """The two ends of each wall, in the order of `corners`, and of each segment."""
+    a, b, c, d = corners(world.box)
+    return [(a, b), (b, c), (c, d), (d, a), *((ends[:2], ends[2:]) for ends in world.segments)]

@@ -1,0 +1,123 @@
+"""Runs with a setting, of our engine or of another: their states, their times, their errors over seeds."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from timeit import timeit
+
+import numpy as np
+
+from deep_contact.measure import peers
+from deep_contact.measure.errors import Observation, errors, intervals
+from deep_contact.measure.settings import group_of, name_of, solver_of
+from deep_contact.run.one_scene import simulate
+from deep_contact.state.state import State
+from deep_contact.state.validation import expect
+from deep_contact.stepping.problem import contacts_of
+
+LONG_ENOUGH = 0.02
+"""Least time of all timings of a run together, s: a shorter run is timed several times."""
+
+WARM = 5
+"""Steps of a run before its time counts: the first ones load code, fill an engine's memory and find all contacts."""
+
+POSITION_SWEEPS = 10
+"""Largest number of position iterations of Box2D 2.3."""
+
+ABSOLUTE = ("penetration", "penetration_95", "penetration_max")
+"""Errors that compare with zero, not with the reference."""
+
+
+def rivals(scene: State) -> tuple[list, list[str]]:
+    """(Settings of the engines that can run the scene, sentences on why the others cannot)."""
+    settings, why = [], []
+    for engine in peers.ENGINES:
+        budgets = ((1, 4), (1, 10), (2, 4), (2, 10), (4, 2), (4, 4))
+        mine = [{"engine": engine, "sweeps": count, "dt": scene.dt / k} for k, count in budgets]
+        try:
+            Run(scene, mine[0])
+            settings += mine
+        except (ImportError, ValueError) as error:
+            why.append(f"{engine} is left out: {error}")
+    return settings, why
+
+
+class Run:
+    """A run of a scene with a setting, of our engine or of another."""
+
+    def __init__(self, start: State, setting: Mapping):
+        self._state, self._setting, self._world = start.replace(dt=setting["dt"]), setting, None
+        if "engine" in setting:
+            options = {name: value for name, value in setting.items() if name in ("slop", "bias", "hertz")}
+            self._world = peers.ENGINES[setting["engine"]](self._state.replace(contacts=None), **options)
+
+    def advance(self, steps: int) -> None:
+        """Do `steps` steps of the setting's Δt."""
+        state, setting = self._state, self._setting
+        if self._world is None:
+            begin = setting.get("start", "builtin")
+            self._state = simulate(state, steps=steps, solver=solver_of(setting), warm_start=begin).state
+        else:
+            most = setting.get("position_sweeps", POSITION_SWEEPS)
+            self._world.run(steps, setting["dt"], setting["sweeps"], most)
+            self._state = state.replace(time=state.time + steps * setting["dt"])
+
+    def state(self) -> State:
+        """The present state, with contacts."""
+        if self._world is None:
+            return self._state
+        state = self._state.replace(bodies=self._world.bodies())
+        return state.replace(contacts=contacts_of(state))
+
+
+def states_of(start: State, setting: Mapping, frames: int, interval: float) -> Iterator[State]:
+    """`frames` states of a run, one every `interval`, s. Raises ValueError if the setting's Δt does not divide it."""
+    run, each = Run(start, setting), round(interval / setting["dt"])
+    text = f"dt: expected a step that divides {interval:g} s, got {setting['dt']}"
+    expect(math.isclose(each * setting["dt"], interval, rel_tol=1e-5), text)
+    for _ in range(frames):
+        run.advance(each)
+        yield run.state()
+
+
+def timed(start: State, setting: Mapping, seconds: float) -> float:
+    """Thread time of a run of `seconds` seconds of the scene in one call, s: the least of several for a short run.
+
+    Other programs disturb thread time least. The Python wrapper of another engine counts, since its users pay for it;
+    the destruction of its world does not.
+    """
+    took: list[float] = []
+    while len(took) < 5 and sum(took) < LONG_ENOUGH:
+        run = Run(start, setting)
+        run.advance(WARM)
+        steps = partial(run.advance, round(seconds / setting["dt"]))
+        took.append(timeit(steps, timer=time.thread_time, number=1))
+    return min(took)
+
+
+def row_of(setting: Mapping, step: float, ensemble: Sequence[Observation], reference: Sequence[Observation]) -> dict:
+    """A row of results: the setting, and its errors with intervals, against the reference's runs of the same scenes.
+
+    step: Δt of the scene, s.
+    """
+    row = {"name": name_of(setting, step), "setting": dict(setting), "group": group_of(setting)}
+    return row | {"seeds": len(ensemble), "errors": intervals(ensemble, reference)}
+
+
+def noise_of(half: Sequence, reference: Sequence, *, swaps: int = 20) -> dict[str, float]:
+    """Sizes of the `errors` by chance, from runs of the same scenes by the reference and by half its step.
+
+    If half the step changes nothing but chance, the two runs of a scene may be swapped. The errors between ensembles
+    with swapped pairs are then those that seeds alone make.
+    """
+    if len(half) < 2:
+        return {}
+    seen, rng = [], np.random.default_rng(0)
+    for _ in range(swaps):
+        pairs = [pair[::-1] if swap else pair for pair, swap in zip(zip(half, reference), rng.random(len(half)) < 0.5)]
+        seen.append(errors(*zip(*pairs)))
+    known = [name for name in seen[0] if name not in ABSOLUTE and all(one[name] is not None for one in seen)]
+    return {name: float(np.mean([one[name] for one in seen])) for name in known}

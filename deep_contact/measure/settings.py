@@ -1,0 +1,73 @@
+"""Settings of runs: mappings that JSON can hold, of a method of ours, or another engine, with options, sweeps, Δt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+
+from deep_contact.accuracy import presets
+from deep_contact.accuracy.presets import PRESETS
+from deep_contact.accuracy.scene_numbers import SceneNumbers
+from deep_contact.accuracy.stiffness import Stiffness
+from deep_contact.solvers import NNCG, PGS, PSOR, BatchedPGS, solver_from
+from deep_contact.state.constants import TIME_STEP
+
+
+def setting_of(solver, dt: float, start: str = "builtin") -> dict:
+    """The setting of a solver's options: those that differ from the defaults, and a tolerance if there is one."""
+    plain = {f.name: None if f.name == "tolerance" else f.default for f in fields(solver)}
+    changed = {name: value for name, default in plain.items() if (value := getattr(solver, name)) != default}
+    begin = {} if start == "builtin" else {"start": start}
+    return {"method": type(solver).__name__, **changed, "sweeps": solver.sweeps, "dt": dt, **begin}
+
+
+def solver_of(setting: Mapping):
+    """The solver options of a setting, with a tolerance of None unless the setting has one."""
+    options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start")}
+    return solver_from(setting["method"], {"tolerance": None} | options)
+
+
+def name_of(setting: Mapping, step: float = TIME_STEP) -> str:
+    """Name of a setting, such as "PGS, 10 sweeps, Δt / 2" or "Box2D v3, 4 iterations, Δt / 2". step: Δt, s."""
+    budget, ratio = "iteration" if "engine" in setting else "sweep", step / setting["dt"]
+    words = [group_of(setting), f"{setting['sweeps']} {budget}{'s' * (setting['sweeps'] != 1)}"]
+    words += [f"{key}={setting[key]}" for key in setting if key not in ("engine", "method", "sweeps", "dt")]
+    return ", ".join([*words, "Δt" if ratio == 1 else f"Δt / {ratio:g}" if ratio > 1 else f"{1 / ratio:g} Δt"])
+
+
+def group_of(setting: Mapping) -> str:
+    """The method of a setting, or its engine."""
+    return setting.get("engine") or setting["method"]
+
+
+def reference_of(numbers: SceneNumbers, stiff: Stiffness | None, finer: int = 1) -> dict:
+    """The setting that counts as a scene's limit of small steps, or one with `finer` times as many steps."""
+    parts = presets.parts_for(numbers, TIME_STEP / 16)
+    if stiff is None:
+        return setting_of(PGS(sweeps=20, tolerance=None, substeps=finer * parts), numbers.dt)
+    solver = stiff.solver(finer * parts)
+    if solver.tolerance is None:  # with few sweeps in a substep: more substeps
+        solver = replace(solver, sweeps=20, substeps=4 * solver.substeps)
+    return setting_of(solver, numbers.dt)
+
+
+def settings_of_presets(numbers: SceneNumbers, stiff: Stiffness | None) -> dict:
+    """Preset -> its setting for a scene."""
+    chosen = {name: presets.decided(numbers, stiff, name) for name in PRESETS}
+    return {name: setting_of(one.solver, numbers.dt, one.start) for name, one in chosen.items()}
+
+
+def ladder(numbers: SceneNumbers) -> list:
+    """A short ladder of settings around those of the presets."""
+    k = presets.parts_for(numbers, TIME_STEP)
+    solvers = [
+        PGS(sweeps=4, tolerance=None, substeps=2 * k),
+        PGS(sweeps=1, tolerance=None, substeps=k),
+        PGS(sweeps=10, tolerance=None, substeps=k),
+        BatchedPGS(sweeps=10, tolerance=None, substeps=4 * k, most_substeps=32 * k, slop=0.25),
+        PSOR(sweeps=3, tolerance=None, substeps=2 * k, most_substeps=16 * k, slop=0.25),
+        PGS(sweeps=4, tolerance=None, substeps=k, most_substeps=8 * k, slop=0.5),
+        PGS(sweeps=2, tolerance=None, substeps=4 * k),
+        NNCG(sweeps=20, tolerance=None, substeps=2 * k),
+    ]
+    return [setting_of(solver, numbers.dt) for solver in solvers]

@@ -1,1 +1,0 @@
-"""Chapter 2: scenes, collision, the contact solver and the engine."""

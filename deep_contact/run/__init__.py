@@ -1,0 +1,1 @@
+"""Runs: of one scene, of many, and live."""

@@ -1,0 +1,83 @@
+"""How a run solves: its options, and the solver and the start that they mean for a state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from deep_contact.accuracy.presets import Accuracy, Decision, MeasuredAccuracy, decide
+from deep_contact.solvers import PGS
+from deep_contact.starts.changed_load import load_of
+from deep_contact.starts.names import Start, WarmStart, warm_start_of
+from deep_contact.state.state import State
+from deep_contact.state.validation import flag
+from deep_contact.stepping.interface import entry_of
+
+
+class RunOptions(NamedTuple):
+    """The options of `simulate`, which says what they mean; `Simulator` and `simulate_many` have some of them."""
+
+    steps: int = 600
+    dt: float | None = None
+    solver: object = None
+    warm_start: Start = "builtin"
+    accuracy: Accuracy | MeasuredAccuracy | None = None
+    sleep: bool = False
+    push: object = None
+    record: int | None = None
+    forces: bool = False
+    until: Callable | None = None
+    on_step: Callable | None = None
+    is_anew: bool = False  # whether a `Simulator`, which got no solver, chooses again when its scene changes
+
+    @property
+    def how(self) -> tuple:
+        """The options that have to be the same for a call to go on with the run of the call before (`last_run`)."""
+        return self.solver, self.accuracy, self.warm_start, self.sleep
+
+
+class Method(NamedTuple):
+    """Solver and start of a run, which `simulate` uses and `plan` prints."""
+
+    solver: object  # with numbers in place of values that follow the scene
+    start: WarmStart
+    start_name: str
+    decision: Decision | None  # of the preset that chose the solver; None where the caller did
+
+
+def method_of(state: State, solver=None, start="builtin", accuracy=None, *, sleep=False) -> Method:
+    """The method of a run from this state: that of `accuracy`, of `solver`, or of the state's solver.
+
+    Without any of these the solver is that of the preset "fast". Raises ValueError if the arguments do not fit each
+    other.
+    """
+    if accuracy is not None and solver is not None:
+        raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
+    decision = None
+    if accuracy is not None or (solver is None and state.solver is None):
+        decision = decide(state, accuracy, sleep=sleep)
+        keeps = _keeps_solver(state, accuracy) and (entry_of(state.solver).can_sleep or not sleep)
+        solver, start = state.solver if keeps else decision.solver, start if accuracy is None else decision.start
+    solver = checked_solver(solver, state)
+    if flag("sleep", sleep) and not entry_of(solver).can_sleep:
+        raise ValueError(f"sleep: expected False with {type(solver).__name__}, got True")
+    named = str(start) if isinstance(start, (str, Path)) else getattr(start, "__name__", type(start).__name__)
+    return Method(solver, warm_start_of(start), "none" if start is None else named, decision)
+
+
+def _keeps_solver(state: State, accuracy) -> bool:
+    """Whether the state comes from a run under this preset. The run then keeps its solver.
+
+    Without this rule a preset could choose another solver at a later moment, when the fastest circle is slower, or a
+    dam has broken.
+    """
+    came = state.step > 0 and state.solver is not None and state.load in (None, load_of(state))
+    return came and isinstance(accuracy, str) and accuracy == state.preset
+
+
+def checked_solver(solver, state: State):
+    """`solver`, or the state's solver, or PGS, with numbers for this state. Raises ValueError on an unknown solver."""
+    solver = next(one for one in (solver, state.solver, PGS()) if one is not None)
+    entry_of(solver)
+    return solver.for_state(state)

@@ -1,0 +1,119 @@
+"""`Simulation`: what a run returns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact.run.trajectory import Trajectory
+from deep_contact.state import html
+from deep_contact.state.arrays import SIDES
+from deep_contact.state.equality import by_value
+from deep_contact.state.fields import checked_indices
+from deep_contact.state.state import StateWithContacts
+from deep_contact.state.validation import brief, expect, one_of
+from deep_contact.stepping.interface import tolerance_argument
+
+
+@by_value
+class Simulation(NamedTuple):
+    """A finished run.
+
+    | field       | meaning                                                                                   |
+    |-------------|-------------------------------------------------------------------------------------------|
+    | state       | the `State` after the last step, ready to go on: its contacts have been found, not solved |
+    | contacts    | number of contacts solved in each step, (steps,): all but those that are asleep           |
+    | sweeps      | number of velocity sweeps in each step, (steps,); with islands, of the slowest island     |
+    | theta       | θ after the last sweep of each step, (steps,), N·s; infinite where no sweep was done      |
+    | relaxations | contacts times sweeps in each step, (steps,); with islands, summed over the islands       |
+    | substeps    | number of substeps of each step, (steps,)                                                 |
+    | recorded    | the recorded states as a `Trajectory`, which ends with `state`; None without record=…     |
+    | loads       | sum of the impulses on walls and segments until each recorded state, (T, 4 + S, 2), N·s;  |
+    |             | None without forces=True                                                                  |
+    | solved      | the solved states, as of `on_step`, of the steps that led to recorded states, as a        |
+    |             | `Trajectory`; None without forces=True                                                    |
+    | on_circles  | sum of the contact impulses on circles until each recorded state, (T, n, 2), N·s; None    |
+    |             | without moving segments, fixed circles and pushes                                         |
+    | shifts      | momentum of circles from gravity beyond m g t until each recorded state, (T, n, 2), N·s;  |
+    |             | None if e = 0, or if there are `on_circles`                                               |
+
+    With substeps, contacts and θ are those of a step's last substep, sweeps and relaxations sums over its substeps.
+    """
+
+    state: StateWithContacts
+    contacts: np.ndarray
+    sweeps: np.ndarray
+    theta: np.ndarray
+    relaxations: np.ndarray
+    substeps: np.ndarray
+    recorded: Trajectory | None = None
+    loads: np.ndarray | None = None
+    solved: Trajectory | None = None
+    on_circles: np.ndarray | None = None
+    shifts: np.ndarray | None = None
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The recorded states. Raises ValueError if none were recorded."""
+        if self.recorded is None:
+            raise ValueError("trajectory: expected a run of simulate(…, record=…), got one that recorded no states")
+        return self.recorded
+
+    def force_on(self, part: str, index: int | Sequence[int] | np.ndarray | None = None) -> np.ndarray:
+        """The mean contact force on a part of the scene between each recorded state and the next, (T − 1, 2), N.
+
+        Force k is the mean from times[k] to times[k + 1] of the trajectory, over all steps and substeps, rebounds
+        included. The force on a circle is its change of momentum over time, without those by gravity and pushes.
+
+        part: "floor", "right", "ceiling", "left", "segment", "circle", or "wall", which stands for the four sides,
+        numbered in this order. index: of the segment, the circle or the wall, or several, whose forces are added up;
+        None if `part` names a side. Raises ValueError if no states were recorded, for walls and segments without
+        forces=True, and on an unknown part or index.
+        """
+        recorded, world = self.trajectory, self.state.world
+        if part in SIDES:
+            expect(index is None, f"index: expected none of the {part}, got {brief(index)}")
+            part, index = "wall", SIDES.index(part)
+        count = {"wall": 4, "segment": len(world.segments), "circle": self.state.bodies.count}
+        chosen = checked_indices("index", index, count[one_of("part", part, (*SIDES, "segment", "circle", "wall"))])
+        seconds = np.diff(recorded.times)[:, None]
+        if part == "circle" and self.on_circles is not None:
+            return np.diff(self.on_circles[:, chosen].sum(axis=1), axis=0) / seconds
+        if part == "circle":
+            mass = self.state.bodies.mass[chosen]
+            change = np.einsum("tik,i->tk", np.diff(recorded.velocities[:, chosen], axis=0), mass)
+            if self.shifts is not None:
+                change -= np.diff(self.shifts[:, chosen].sum(axis=1), axis=0)
+            return change / seconds - mass.sum() * np.array(world.gravity)
+        if self.loads is None:
+            raise ValueError("forces: expected a run of simulate(…, record=…, forces=True), got one without")
+        return np.diff(self.loads[:, (4 if part == "segment" else 0) + chosen].sum(axis=1), axis=0) / seconds
+
+    @property
+    def status(self) -> np.ndarray:
+        """Why each step's sweeps ended, (steps,): see `ConvergenceRecord`."""
+        tolerance = tolerance_argument(self.state.solver)
+        cases = [self.contacts == 0, self.theta <= tolerance, (self.sweeps > 0) & ~np.isfinite(self.theta)]
+        return np.select(cases, ["no_contacts", "converged", "diverged"], "max_sweeps")
+
+    def __repr__(self) -> str:
+        return f"Simulation({', '.join(self._summary().values())}, state={self.state!r})"
+
+    def _repr_html_(self) -> str:
+        """HTML for notebooks: a summary of the run, and its last state."""
+        return html.shown("Simulation", self._summary().items()) + self.state._repr_html_()
+
+    def _summary(self) -> dict[str, str]:
+        summary = {"steps": html.counted(self.sweeps.size, "step")}
+        if self.sweeps.size:
+            ends = self.status
+            summary["sweeps"] = f"{self.sweeps.mean():.1f} sweeps a step"
+            if self.substeps.max() > 1:
+                summary["substeps"] = f"{self.substeps.mean():.1f} substeps a step"
+            if tolerance_argument(self.state.solver) > 0:  # without a tolerance every step does all sweeps
+                summary["solves"] = f"converged in {np.isin(ends, ('converged', 'no_contacts')).sum():,} steps"
+            if (ends == "diverged").any():
+                summary["diverged"] = f"{(ends == 'diverged').sum():,} diverged"
+        return summary | ({} if self.recorded is None else {"record": html.counted(len(self.recorded), "state")})

@@ -1,0 +1,424 @@
+"""`Simulator`: a scene that lives."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact.accuracy.presets import Accuracy, MeasuredAccuracy, PresetWarning
+from deep_contact.plot import notebook
+from deep_contact.run.method import RunOptions, method_of
+from deep_contact.starts.changed_load import (
+    has_new_load,
+    load_of,
+    with_a_past,
+    with_new_load,
+    with_shifted_flights,
+    with_time_step,
+)
+from deep_contact.starts.classical import Builtin, NoStart, starting_impulses
+from deep_contact.starts.names import Start, WarmStart
+from deep_contact.state.arrays import LIMITS, Bodies, Contacts
+from deep_contact.state.fields import checked_indices, checked_push, checked_velocities, warn_of_jumps
+from deep_contact.state.state import State, StateWithContacts, changed, frozen, read_only
+from deep_contact.state.validation import integer, suggesting, warn
+from deep_contact.state.world import World
+from deep_contact.stepping.convergence import convergence_record
+from deep_contact.stepping.inputs import scales_of, step_input
+from deep_contact.stepping.interface import entry_of
+from deep_contact.stepping.log import (
+    DONE,
+    FINITE,
+    LAST_SWEEPS,
+    PASSED,
+    WORK,
+    StepLog,
+    make_log,
+    of_whole_step,
+    some_steps,
+)
+from deep_contact.stepping.memory import Steps
+from deep_contact.stepping.prepare import find_contacts, ready
+from deep_contact.stepping.problem import StepProblem
+from deep_contact.stepping.sleeping import wake_pushed
+
+MOST_WORK = 20_000_000
+"""Largest work of one call of compiled code, in relaxations of a contact."""
+
+SECONDS = 0.2
+"""Time that one call should take, s: Ctrl-C takes effect between calls."""
+
+
+@suggesting
+class Simulator:
+    """A live scene: it does steps, keeps the engine's memory from step to step, and can be changed between steps.
+
+    The arguments are those of `simulate`. If a preset chose the solver, as by default, it chooses again when the scene
+    changes. Steps give the same bits one by one, in several calls and in one call. After Ctrl-C or an error the
+    simulator stands at a whole step, and can go on. Pickles hold its state.
+
+    | property   | meaning                                                   | shape  | unit |
+    |------------|-----------------------------------------------------------|--------|------|
+    | positions  | centres of the circles; a view, which every step changes  | (n, 2) | m    |
+    | velocities | velocities of the centres; a view as well                 | (n, 2) | m/s  |
+    | time       | time of the scene                                         |        | s    |
+    | state      | a `State` with copies of the arrays, made at each access  |        |      |
+
+    The views are read-only; `set`, `add` and `remove` change the scene. To put circles elsewhere, make a new simulator
+    of a changed state: `dc.Simulator(live.state.replace(bodies=…, contacts=None))`.
+
+    Raises ValueError on arguments that do not fit each other.
+    """
+
+    _has_warned = False  # of a segment that jumps
+    _has_warned_of_passing = False
+
+    def __init__(
+        self,
+        state: State,
+        *,
+        solver=None,
+        accuracy: Accuracy | MeasuredAccuracy | None = None,
+        warm_start: Start = "builtin",
+        sleep: bool = False,
+        push=None,
+    ):
+        how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep, "push": push}
+        is_anew = solver is None and getattr(state, "solver", None) is None
+        self._options, self._steps = RunOptions(**how, is_anew=is_anew), None
+        self._go_on(*_prepared(state, self._options))
+
+    def step(self, steps: int = 1) -> None:
+        """Do `steps` steps. Raises FloatingPointError if the solver diverges to positions that are not finite."""
+        done, steps = 0, integer("steps", steps, hint="; seconds are steps of Δt, which set(dt=…) changes")
+        while done < steps:
+            count = min(steps - done, self._affordable())
+            if count == 1:
+                done += self._advance(self._one_step())
+            else:
+                done += self._advance(self._rows(make_log(count), 0, count))
+
+    def show(self, steps: int = 0, *, every: int = 10) -> None:
+        """Draw the state in a notebook, do `steps` steps, and redraw the state in its place after each `every` steps.
+
+        Raises ValueError outside of a notebook, and FloatingPointError as `step` does.
+        """
+        done, steps, every = 0, integer("steps", steps), integer("every", every, least=1)
+        notebook.show(self)
+        while done < steps:
+            count = min(every, steps - done)
+            self.step(count)
+            done += count
+            notebook.show(self)
+
+    def _repr_html_(self) -> str:
+        return self.state._repr_html_()
+
+    @property
+    def positions(self) -> np.ndarray:
+        return self._views[0]
+
+    @property
+    def velocities(self) -> np.ndarray:
+        return self._views[1]
+
+    @property
+    def time(self) -> float:
+        return self._now.time
+
+    @property
+    def state(self) -> StateWithContacts:
+        return self._state(np.ndarray.copy)
+
+    @suggesting
+    def set(
+        self, *, gravity=None, friction=None, restitution=None, dt=None, segments=None, segment_velocities=None,
+        push=None,
+    ) -> None:  # fmt: skip
+        """Change the world, the time step or the push from now on. Values of None change nothing. All circles wake.
+
+        Contacts keep their impulses; those with segments are matched by the segments' indices. A segment with a new
+        position jumps there, and a warning says so once; segment_velocities move it instead.
+
+        dt: time step, s. push: as of `simulate`; forces of 0 end it. Raises ValueError, and changes nothing, on values
+        that `World` refuses.
+        """
+        fields = {"gravity": gravity, "friction": friction, "restitution": restitution, "segments": segments}
+        if dt is None and push is None and not any(value is not None for value in fields.values()):
+            if segment_velocities is None or self._set_velocities(segment_velocities):
+                return
+        fields |= {"segment_velocities": segment_velocities}
+        fields, state = {name: value for name, value in fields.items() if value is not None}, self.state
+        if segments is not None:  # velocities and surface speeds may be those of another number of segments
+            for name in ("segment_velocities", "surface_speeds"):
+                kept = getattr(state.world, name)
+                fields.setdefault(name, kept if len(kept) == len(segments) else ())
+        if fields:
+            world, contacts = replace(state.world, **fields), state.contacts
+            if segments is not None:
+                if not self._has_warned:
+                    self._has_warned = warn_of_jumps(state.world, world)
+                stays = contacts.body_b < state.bodies.count + 4 + len(world.segments)
+                contacts = Contacts(*(values[stays] for values in contacts))
+            # A preset decides anew, since the speed of a segment may make it divide the step.
+            state = replace(state, world=world, contacts=contacts, preset=None)
+        self._change(state if dt is None else with_time_step(state, dt), push)
+
+    def _set_velocities(self, segment_velocities) -> bool:
+        """Set the velocities of the segments in place, which takes less time than `_change`, if that is possible.
+
+        It is possible if the same segments move as before. With a preset, no segment may be faster than when the preset
+        chose the solver. Returns whether the velocities were set.
+        """
+        drive, world = self._inputs.drive, self._scene.world
+        most = LIMITS["world.segment_velocities"][1]
+        if self._options.accuracy is not None or self._options.is_anew:
+            most = self._fastest_wall
+        velocities = checked_velocities(segment_velocities, len(world.segments))
+        wall = np.array(velocities).reshape(-1, 4)
+        if drive is None or wall.shape != drive.wall.shape or np.abs(wall).max(initial=0.0) > most:
+            return False
+        if (wall.any(axis=1) != drive.wall.any(axis=1)).any():
+            return False
+        self._steps.wake()
+        self._scene = changed(self._scene, world=changed(world, segment_velocities=velocities))
+        self._origin = self._now
+        drive.wall[:] = wall
+        return True
+
+    def add(self, bodies: Bodies) -> np.ndarray:
+        """Add circles behind the others (`State.with_bodies`). All circles wake. Returns indices of the new circles.
+
+        A constant push has forces of 0 on the new circles.
+        """
+        first = self._scene.bodies.count
+        self._change(self.state.with_bodies(add=bodies))
+        return np.arange(first, self._scene.bodies.count)
+
+    def remove(self, which: Sequence | np.ndarray) -> np.ndarray:
+        """Remove circles, by their indices or by a flag for each (`State.with_bodies`). All circles wake.
+
+        Returns the new index of each circle of before, (n,); −1 for removed circles.
+        """
+        n = self._scene.bodies.count
+        gone, index = checked_indices("remove", which, n), np.full(n, -1)
+        index[np.delete(np.arange(n), gone)] = np.arange(n - len(gone))
+        self._change(self.state.with_bodies(remove=gone))
+        return index
+
+    def __reduce__(self):
+        return _restored, (self.state, self._start, self._options)
+
+    def __repr__(self) -> str:
+        return f"Simulator({self.state!r})"
+
+    def _change(self, state: State, push=None) -> None:
+        """Go on from another state. push: the new push; None keeps a function, and otherwise takes the state's push."""
+        if push is None:
+            push = self._options.push if callable(self._options.push) else state.push
+        options = self._options._replace(push=push)
+        prepared = _prepared(state, options)
+        self._options = options
+        self._go_on(*prepared)
+
+    def _go_on(self, state: StateWithContacts, start: WarmStart) -> None:
+        """Go on from a state that is ready, with its solver."""
+        solver, n, sleep = state.solver, state.bodies.count, self._options.sleep
+        bodies, contacts = (type(part)(*map(np.copy, part)) for part in (state.bodies, state.contacts))
+        if isinstance(start, NoStart):
+            contacts.normal_start[:] = contacts.tangent_start[:] = 0.0
+        scene = replace(state, bodies=bodies, contacts=contacts, load=None)
+        scales = scales_of(state, solver)
+        inputs = step_input(scene, solver, scales)
+        kind = solver, sleep, isinstance(start, NoStart)
+        if self._steps is None or kind != self._kind or not np.array_equal(bodies.radius, self._scene.bodies.radius):
+            self._steps = Steps(solver, n, sleep=sleep, carry=not isinstance(start, NoStart))
+            # Allocated before the arrays of results, which lie above: its release leaves no gap at the top of the heap,
+            # which Linux would take.
+            self._steps.memory(inputs, contacts.count)
+        self._steps.wake()
+        self._kind, self._start, self._scene, self._scales, self._inputs = kind, start, scene, scales, inputs
+        # Without friction, tangent rows are left out once no contact starts from a tangent impulse.
+        self._may_lose_tangents = scene.world.friction == 0.0 and entry_of(solver).advance is None
+        self._is_one_solve = replace(scene, solved=True).holds_solution
+        self._asks_between = callable(self._options.push) or not isinstance(start, (Builtin, NoStart))
+        self._origin = self._now = _Now(contacts, state.step, state.time, state.solved)
+        if callable(self._options.push):
+            self._scene = scene = replace(scene, push=(np.zeros((n, 2)), np.zeros(n)))
+            self._inputs = step_input(scene, solver, scales)
+        self._push = scene.push
+        drive = self._inputs.drive
+        self._fastest_wall = 0.0 if drive is None else np.abs(drive.wall).max(initial=0.0)
+        self._moved = tuple(bodies[:4])  # arrays that a step changes
+        self._never_change = tuple(map(frozen, bodies[4:]))
+        if scene.world.segment_velocities:
+            self._moved += (self._inputs.segments.line,)
+        if self._steps.sleep is not None:
+            self._moved += self._steps.sleep.remembered
+        self._kept, self._log, self._work = tuple(map(np.copy, self._moved)), make_log(1), MOST_WORK // 8
+        self._views = tuple(array.view() for array in bodies[:2])
+        for view in self._views:
+            view.flags.writeable = False
+        self._seen: tuple = ()  # arguments of `on_step` for the last watched step
+
+    def _affordable(self) -> int:
+        """The number of steps that a call may do: 1 if the start or the push needs Python between two steps."""
+        if self._asks_between:
+            return 1
+        return 1 + self._work // (10 * self._scene.bodies.count + 50)
+
+    def _rows(self, log: StepLog, first: int, count: int, is_watched: bool = False) -> StepLog:
+        """`count` rows of a log from `first` on, as the log of a call."""
+        return some_steps(log, first, count, self._work, is_watched and not self._is_one_solve)
+
+    def _one_step(self) -> StepLog:
+        """A log of one step, whose arrays the next step uses again."""
+        log = self._log
+        log.sweeps[0] = log.relaxations[0] = log.parts[0] = log.progress[DONE] = 0
+        log.progress[WORK] = self._work
+        return log
+
+    def _state(self, taken) -> StateWithContacts:
+        """The present state. taken: the function that copies or views each array of the bodies for the caller."""
+        contacts, step, time, solved = self._now
+        bodies, contacts = Bodies(*map(taken, self._scene.bodies)), Contacts(*map(np.ndarray.copy, contacts))
+        push = None if callable(self._options.push) else self._scene.push
+        fields = {"world": self._world(), "bodies": bodies, "contacts": contacts, "push": push, "solved": solved}
+        state = changed(self._scene, **fields, step=step, time=time)
+        return changed(state, load=load_of(state))
+
+    def _world(self) -> World:
+        """The world with its segments at their present positions."""
+        world = self._scene.world
+        return replace(world, segments=self._inputs.segments.line[:, :4]) if world.segment_velocities else world
+
+    def _advance(self, log: StepLog, is_watched: bool = False) -> int:
+        """Do at most as many steps as the log has rows; after an error no step is done. Returns their number."""
+        before = self._now
+        for kept, array in zip(self._kept, self._moved):
+            kept[...] = array
+        impulses = before.contacts.normal_impulse.copy(), before.contacts.tangent_impulse.copy()
+        try:
+            return self._advance_from(before, log, is_watched)
+        except BaseException:
+            if self._now is before:
+                for kept, array in zip(self._kept, self._moved):
+                    np.copyto(array, kept)
+                names = "normal_impulse", "tangent_impulse"
+                contacts = before.contacts._replace(**dict(zip(names, impulses)))
+                # In other arrays than those that the lost steps have written.
+                self._now = before._replace(contacts=Contacts(*map(np.copy, contacts)))
+            raise
+
+    def _advance_from(self, before: _Now, log: StepLog, is_watched: bool) -> int:
+        contacts, problem, scene = before.contacts, None, self._scene
+        if self._asks_between:
+            contacts, problem = self._start_from_python(contacts)
+        inputs = self._inputs
+        if self._may_lose_tangents:
+            friction = step_input(replace(scene, contacts=contacts), scene.solver, self._scales).friction
+            inputs = inputs if friction == inputs.friction else inputs._replace(friction=friction)
+        shifts = log.shifts
+        if is_watched:
+            bodies = Bodies(*map(frozen, scene.bodies[:4]), *self._never_change)
+            world, push = self._world(), self._push
+            if scene.world.restitution > 0.0:
+                log = log._replace(shifts=np.zeros((scene.bodies.count, 2)))
+        begun = time.perf_counter()
+        following, received = self._steps(inputs, contacts, log, problem)
+        if len(log.contacts) > 1:  # how a run is divided changes no bit of it
+            seconds = time.perf_counter() - begun
+            self._work = min(MOST_WORK, 2 * self._work, 1 + int(self._work * SECONDS / seconds))
+        done = int(log.progress[DONE]) // inputs.parts
+        step, dt, origin = before.step + done, scene.dt, self._origin
+        if not log.progress[FINITE]:
+            _raise_diverged(scene.bodies, step)
+        if log.progress[PASSED] and not self._has_warned_of_passing:
+            self._has_warned_of_passing = True
+            warn(
+                f"up to step {step}: a moving segment passes over circle {log.progress[PASSED] - 1}, which what rests "
+                "holds in its way; more warnings of this kind are left out"
+            )
+        # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
+        is_even = origin.time == origin.step * dt
+        now = step * dt if is_even else origin.time + (step - origin.step) * dt
+        if is_watched:
+            theta = self._steps.memory(inputs).theta[: log.progress[LAST_SWEEPS]]
+            is_one_solve = log.parts[0] == 1 and scene.world.restitution == 0.0
+            solved = Contacts(*map(frozen, contacts if is_one_solve else of_whole_step(contacts, received)))
+            fields = {"world": world, "bodies": bodies, "contacts": solved, "push": push, "solved": True}
+            seen = changed(scene, **fields, step=before.step, time=before.time)
+            of_step = frozen(log.shifts) if len(log.shifts) else None
+            self._seen = seen, convergence_record(theta, scene.solver, int(log.contacts[0]), of_step)
+            if len(shifts) and shifts is not log.shifts:
+                shifts += log.shifts
+        self._now = _Now(following, step, now, False)
+        return done
+
+    def _start_from_python(self, contacts: Contacts) -> tuple[Contacts, StepProblem | None]:
+        """The contacts with the impulses of a start in Python, and their problem, if built. Also updates the push."""
+        push, solver, problem = self._options.push, self._scene.solver, None
+        if callable(push):
+            self._push = force, torque = checked_push(push(read_only(self.state)), self._scene.bodies.count)
+            self._inputs = self._inputs._replace(drive=self._inputs.drive._replace(force=force, torque=torque))
+            if self._steps.sleep is not None:
+                wake_pushed(contacts, self._steps.sleep, self._inputs)
+        if not isinstance(self._start, (Builtin, NoStart)):
+            state = replace(self.state, push=self._push)
+            normal, tangent, problem = starting_impulses(self._start, state, solver, self._scales)
+            contacts = contacts._replace(normal_start=normal, tangent_start=tangent)
+        return contacts, problem
+
+
+class _Now(NamedTuple):
+    """Moment of a `Simulator`, in one value, so that an interrupt finds it before a step or after it."""
+
+    contacts: Contacts
+    step: int
+    time: float
+    solved: bool
+
+
+def _restored(state: StateWithContacts, start: WarmStart, options: RunOptions) -> Simulator:
+    """A `Simulator` that goes on from the state of another."""
+    simulator = Simulator.__new__(Simulator)
+    simulator._options, simulator._steps = options, None
+    simulator._go_on(state, start)
+    return simulator
+
+
+def _raise_diverged(bodies: Bodies, step: int) -> None:
+    circle = int(np.flatnonzero(~np.isfinite(bodies.position).all(axis=1))[0])
+    raise FloatingPointError(
+        f"up to step {step}: circle {circle} (mass {bodies.mass[circle]:g} kg, radius {bodies.radius[circle]:g} m) has "
+        "come to a position that is not finite: the solver diverged; try PGS, a smaller dt"
+    )
+
+
+def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, WarmStart]:
+    """(State, start) at the start of a run: the state is validated, with its solver and the impulses it starts from."""
+    first, state = state, ready(state)
+    accuracy, push = options.accuracy, options.push
+    constant = None if push is None or callable(push) else checked_push(push, state.bodies.count)
+    state = replace(state, push=constant)
+    without_past = first.contacts is None or state.step == 0
+    chosen_for = changed(state, solver=None) if options.is_anew and accuracy is None else state
+    how = options.solver, options.warm_start, accuracy
+    solver, start, _, decision = method_of(chosen_for, *how, sleep=options.sleep)
+    for sentence in decision.warnings if decision else ():
+        warn(sentence, PresetWarning)
+    # Not for a run that goes on, so that a run has the same result in one call and in several.
+    if decision and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
+        state = with_a_past(state)
+    elif has_new_load(state):
+        state = find_contacts(state)
+        state = state if isinstance(start, NoStart) else with_new_load(state, solver)
+    if state.solver is not None:
+        state = with_shifted_flights(state, state.dt / state.solver.substeps - state.dt / solver.substeps)
+    # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
+    preset = accuracy if isinstance(accuracy, str) else state.preset if solver == state.solver else None
+    return state.replace(solver=solver, preset=preset), start

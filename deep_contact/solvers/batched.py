@@ -1,0 +1,291 @@
+"""Projected Gauss-Seidel in batches of contacts that share no circle, eight at a time (`solvers.batches`)."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from dataclasses import dataclass
+
+import numpy as np
+
+from deep_contact.compiled import njit
+from deep_contact.compiled.direct import Direct
+from deep_contact.compiled.simd import WIDTH, lane, least, load, load_rows, most, spread, store, store_rows
+from deep_contact.compiled.structures import Structure, StructureType, define
+from deep_contact.solvers import batches
+from deep_contact.solvers.batches import BLOCKS, CONTACTS
+from deep_contact.state.constants import POSITION_TOLERANCE
+from deep_contact.stepping import broad_phase, stay_inside
+from deep_contact.stepping.contacts import Walls, carry_impulses, find_pairs, mass_if_fixed, write_geometry
+from deep_contact.stepping.context import part_of
+from deep_contact.stepping.convergence import all_finite, is_over
+from deep_contact.stepping.impacts import logged_rebound
+from deep_contact.stepping.interface import Loop, SolverOptions, register, tolerance_argument
+from deep_contact.stepping.log import (
+    DONE,
+    FINITE,
+    PASSED,
+    WORK,
+    impulses_of,
+    is_asked,
+    log_impulses,
+    log_part,
+    log_work,
+)
+from deep_contact.stepping.motion import integrate_positions, integrate_velocities
+from deep_contact.stepping.passing import without_passed
+from deep_contact.stepping.position_correction import correct_tiles, fill_centres, take_centres
+from deep_contact.stepping.rows import ARM_A, ARM_B, CONTRACT, N_X, N_Y, NORMAL, NORMAL_MASS, TANGENT, TANGENT_MASS
+from deep_contact.stepping.segment_grid import moved_segments
+from deep_contact.stepping.segments import positions_before
+from deep_contact.stepping.substeps import fly_on, part_by_motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchedPGS(SolverOptions):
+    """Projected Gauss-Seidel in batches of contacts that share no circle, eight at a time: for large scenes.
+
+    The options are those of every solver (`SolverOptions`). Position correction goes in the same batches.
+
+    Weakness: the order of the contacts is not that of the list, so it may need more sweeps than PGS. Finding the
+    batches takes time in each step in which contacts have changed, which a few sweeps do not repay.
+    """
+
+
+BatchSettings = namedtuple("BatchSettings", ["tolerance"])
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def sweep_tiles(tiles, first, last, friction):
+    """`rows.sweep` over the tiles from `first` to before `last`, in place. Returns θ, N·s."""
+    body, data, impulse, solver_bodies = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies
+    mu, none = spread(friction), spread(0.0)
+    theta = none
+    for t in range(first, last):
+        a_x, a_y, a_s, w_a = load_rows(solver_bodies, body, 2 * t)
+        b_x, b_y, b_s, w_b = load_rows(solver_bodies, body, 2 * t + 1)
+        row = 6 * t
+        n_x, n_y = load(data, row + N_X), load(data, row + N_Y)
+        k_n, k_t = load(data, row + NORMAL_MASS), load(data, row + TANGENT_MASS)
+        arm_a, arm_b = load(data, row + ARM_A), load(data, row + ARM_B)
+        old_n, old_t = load(impulse, 2 * t + NORMAL), load(impulse, 2 * t + TANGENT)
+
+        d_x, d_y = b_x - a_x, b_y - a_y
+        free_n = k_n * (none - d_x * n_x - d_y * n_y)
+        free_t = k_t * (d_y * n_x - d_x * n_y - arm_a * a_s - arm_b * b_s)
+        largest = mu * old_n
+        p_t = most(least(free_t, largest - old_t), none - largest - old_t)
+        p_n = most(free_n, none - old_n)
+        store(impulse, 2 * t + NORMAL, old_n + p_n)
+        store(impulse, 2 * t + TANGENT, old_t + p_t)
+        theta = most(theta, most(most(p_n, none - p_n), most(p_t, none - p_t)))
+
+        p_x, p_y, turn = p_n * n_x + p_t * n_y, p_n * n_y - p_t * n_x, p_t + p_t
+        store_rows(solver_bodies, body, 2 * t, (a_x - w_a * p_x, a_y - w_a * p_y, a_s + w_a * arm_a * turn, w_a))
+        store_rows(solver_bodies, body, 2 * t + 1, (b_x + w_b * p_x, b_y + w_b * p_y, b_s + w_b * arm_b * turn, w_b))
+    largest = lane(theta, 0)
+    for j in range(1, WIDTH):
+        largest = max(largest, lane(theta, j))
+    return largest
+
+
+@njit(cache=True)
+def sweep_blocks(plan, tiles, friction):
+    """One sweep over all tiles, in place. Returns θ."""
+    theta = 0.0
+    for k in plan.order[: plan.count[BLOCKS]]:
+        theta = max(theta, sweep_tiles(tiles, plan.first[k], plan.first[k + 1], friction))
+    return theta
+
+
+@njit(cache=True)
+def correct_blocks(plan, tiles, scales):
+    """One sweep of position correction over all tiles, in place. Returns the deepest separation, m."""
+    body, data, centre, first, deepest = tiles.body, tiles.data, tiles.centre, plan.first, 0.0
+    for k in plan.order[: plan.count[BLOCKS]]:
+        deepest = min(deepest, correct_tiles(body, data, ARM_B + 1, centre, first[k], first[k + 1], scales))
+    return deepest
+
+
+@njit(cache=True)
+def relax_tiles(settings, plan, tiles, friction, theta):
+    """Projected Gauss-Seidel in batches, in place on the tiles; fills θ. Returns the number of sweeps."""
+    for k in range(theta.shape[0]):
+        theta[k] = sweep_blocks(plan, tiles, friction)
+        if is_over(theta[k], settings.tolerance):
+            return k + 1
+    return theta.shape[0]
+
+
+@njit(cache=True)
+def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
+    """`relax_tiles` for the rows of a single solve, with a plan and tiles of its own."""
+    m, n = rows.body.shape[0], solver_bodies.shape[0] - 4
+    pairs = rows.body.astype(np.int64)
+    plan = batches.plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, batches.make_plan(n, m))
+    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n + 5, 1))
+    sweeps = relax_tiles(settings, plan, tiles, friction, theta)
+    batches.empty_tiles(plan, tiles, rows, solver_bodies)
+    return sweeps
+
+
+@njit(cache=True, error_model="numpy")
+def correct_positions_in_batches(plan, tiles, bodies, scales, sweeps):
+    """`position_correction.correct_positions` over the tiles of the plan."""
+    centre = tiles.centre[: bodies.mass.shape[0]]
+    fill_centres(bodies, centre)
+    for _ in range(sweeps):
+        if correct_blocks(plan, tiles, scales) >= -POSITION_TOLERANCE * scales.slop:
+            break
+    take_centres(centre, bodies)
+
+
+class _RoomType(StructureType):
+    """Numba's type of a `Room`."""
+
+
+class Room(Structure):
+    """Workspace that the steps of a run pass on. A step replaces a field that is too small.
+
+    plan: `BatchPlan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this step. memory:
+    `StepMemory`. received: of `StepLog`.
+    """
+
+
+define(Room, _RoomType, ("plan", "tiles", "solved", "contacts", "memory", "received"))
+
+
+@njit(cache=True)
+def make_room(contacts, setup):
+    """A `Room` for steps that start from these contacts. setup: `StepSetup`."""
+    memory = setup.memory
+    n = memory.cells.cell.shape[0]
+    plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1)
+    return Room(plan, tiles, contacts, contacts, memory, np.zeros((0, 8)))
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def advance_in_batches(setup, contacts, room, log, drive):
+    """`algorithm.advance` for `BatchedPGS`. room: `Room`, which each call passes on to the next."""
+    step, options = setup.step, setup.options
+    room.contacts, room.memory, room.received = contacts, setup.memory, log.received
+    if drive is not None:
+        step = part_of(step, moved_segments(step.segments, drive, 0.0))
+    part, turn, buffers = step, 0, room.memory.contacts
+    for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
+        if step.motion.most > 1:
+            part = part_by_motion(step, part, room.memory.cells, drive)
+            fly_on(step, part, room.contacts, step.dt - part.dt, drive, log.shifts)
+        for _ in range(part.parts // step.parts):
+            turn = 1 - turn
+            segments = do_part_in_batches(part, options, room, buffers[turn], log, j // step.parts, drive)
+            if drive is not None:
+                part, step = part_of(part, segments), part_of(step, segments)
+        if step.motion.most > 1:
+            fly_on(step, part, room.contacts, part.dt - step.dt, drive, log.shifts)
+        log.progress[DONE] = j + 1
+        if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
+            break
+    walls = Walls(step.box, step.scales.wall_skin)
+    write_geometry(step.bodies.position, step.bodies.radius, walls, step.segments, room.contacts, 0)
+    log.progress[FINITE] = all_finite(step.bodies.position)
+    return room.contacts, room.received
+
+
+@njit(inline="always")
+def do_part_in_batches(part, options, room, buffer, log, k, drive):
+    """`algorithm.do_part` in batches: velocities, positions, and the contacts of the next substep, in the buffer.
+
+    Returns the segments after the substep.
+    """
+    bodies, box, segments, scales = part.bodies, part.box, part.segments, part.scales
+    n, theta, cells, is_built = bodies.mass.shape[0], room.memory.theta, room.memory.cells, room.memory.is_built
+    plan_part(part, room)
+    plan, tiles, solved = room.plan, room.tiles, room.contacts
+    # Velocities: rebounds, forces, tiles, and the impulses that solve them.
+    velocities = tiles.solver_bodies[:n]
+    if is_built:
+        take_velocities(room.memory.solver_bodies, velocities)
+    else:
+        impacts = logged_rebound(part, part.motion, solved, log, drive)
+        room.received = log_impulses(log, room.received, solved, impacts, n)
+        integrate_velocities(bodies, part.gravity, part.dt, velocities, drive)
+    fill_centres(bodies, tiles.centre[:n])
+    start_blocks(part, solved, plan, tiles, room.memory.rows, is_built, drive)
+    sweeps = relax_tiles(options.settings, plan, tiles, part.friction, theta)
+    if sweeps > 0 and not all_finite(velocities):
+        theta[sweeps - 1] = np.nan
+    for block in range(plan.count[BLOCKS]):
+        batches.store_block(plan, tiles, solved, block, part.parts)
+    # Positions: of segments and of circles, and position correction.
+    if drive is not None:
+        log_work(part, solved, velocities, log)
+        batches.move_points(plan, tiles, part.dt)
+        segments = moved_segments(segments, drive, part.dt)
+    before = positions_before(bodies, segments)
+    integrate_positions(bodies, velocities, part, segments, drive, log.shifts)
+    correct_positions_in_batches(plan, tiles, bodies, scales, options.position_sweeps)
+    log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
+    if is_asked(log):
+        room.received = log_impulses(log, room.received, solved, impulses_of(solved, 1.0 / part.parts), n)
+    # The contacts of the next substep. Logs and impacts read the geometry of all contacts, tiles that of walls.
+    least = 0 if part.restitution > 0.0 or is_asked(log) or drive is not None else n
+    position, radius, walls = bodies.position, bodies.radius, Walls(box, scales.wall_skin)
+    passed = stay_inside.hold(bodies, before, walls, segments, solved, drive, part.dt)
+    broad_phase.refresh_list(position, radius, cells, 0.0)
+    mass = mass_if_fixed(bodies, drive)
+    room.contacts = find_pairs(position, radius, mass, walls, segments, cells, buffer)
+    write_geometry(position, radius, walls, segments, room.contacts, least)
+    if drive is not None:
+        room.contacts = without_passed(room.contacts, bodies, segments, drive, log.progress)
+        if passed >= 0:
+            log.progress[PASSED] = passed + 1
+    carry_impulses(solved, room.contacts, options.carry)
+    return segments
+
+
+@njit(cache=True)
+def take_velocities(solver_bodies, velocities):
+    """Copy the velocities of solver bodies, in place. The loop compiles in less time than a slice."""
+    for i in range(velocities.shape[0]):
+        for c in range(velocities.shape[1]):
+            velocities[i, c] = solver_bodies[i, c]
+
+
+@njit(cache=True, error_model="numpy")
+def plan_part(part, room):
+    """Plan the batches of the room's contacts, and allocate their tiles if needed, in place."""
+    n, contacts = part.bodies.mass.shape[0], room.contacts
+    if not batches.is_plan_of(room.plan, n, contacts, room.solved):
+        room.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, room.plan)
+    room.tiles = batches.with_room(room.plan, room.tiles)
+    room.solved = contacts
+
+
+@njit(cache=True, error_model="numpy")
+def start_blocks(step, contacts, plan, tiles, rows, is_built, drive):
+    """Fill the rows of all blocks and apply their starting impulses, block by block, in place on the tiles."""
+    for k in plan.order[: plan.count[BLOCKS]]:
+        batches.place_block(step, contacts, plan, tiles, k, drive)
+        if is_built:
+            batches.place_rows(rows, plan, tiles, k)
+        begin, end = plan.first[k], plan.first[k + 1]
+        if not is_built and batches.fill_rows(tiles, begin, end):
+            batches.part_coinciding(tiles, begin, end)
+        batches.start_tiles(tiles, begin, end)
+
+
+class _Run:
+    """`algorithm.advance` for one run of `BatchedPGS`, with its workspace."""
+
+    def __init__(self, solver: BatchedPGS):
+        self._room, self._plain, self._driven = None, Direct(advance_in_batches), Direct(advance_in_batches)
+
+    def __call__(self, setup, contacts, motion, sleep, log, drive):
+        """Arguments and result are those of `algorithm.advance`."""
+        if self._room is None:
+            self._room = make_room(contacts, setup)
+        return (self._plain if drive is None else self._driven)(setup, contacts, self._room, log, drive)
+
+
+_LOOP = Loop(BatchSettings, relax_in_batches)
+register(BatchedPGS, lambda solver: BatchSettings(tolerance_argument(solver)), (_LOOP,), advance=_Run)

@@ -1,0 +1,437 @@
+"""Batches of contacts that share no circle, in tiles of eight: the data structure of `solvers.batched`.
+
+In a sweep of `contact_solver`, each contact has to wait for the velocities that the contact before it writes. In a
+batch no circle occurs twice, so that eight contacts are one vector operation (`compiled.simd`). Walls never move, so
+contacts of a batch may share them.
+
+The list of contacts is cut into blocks of `BLOCK`, and each block is coloured greedily: a batch is a colour of a block.
+Blocks are relaxed phase by phase; the blocks of a phase share no circle. This order is a part of the result: with more
+than two blocks, relaxing them in the order of the list gives other bits.
+
+A batch is stored as tiles of eight contacts; its last tile is padded with contacts of the idle body with itself. A
+block has five bodies of its own beside the circles: the four walls and the idle body.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact.compiled import njit
+from deep_contact.compiled.simd import (
+    WIDTH,
+    any_less,
+    least,
+    load,
+    load_rows,
+    lowest_zero,
+    root,
+    spread,
+    store,
+    store_rows,
+    times,
+    where_less,
+)
+from deep_contact.stepping.contacts import SMALLEST_DISTANCE, parting
+from deep_contact.stepping.position_correction import IDLE, fill_ground
+from deep_contact.stepping.rows import (
+    ARM_A,
+    ARM_B,
+    BODY_A,
+    BODY_B,
+    INVERSE_MASS,
+    N_X,
+    N_Y,
+    NORMAL,
+    NORMAL_MASS,
+    TANGENT,
+    TANGENT_MASS,
+    V_S,
+    V_X,
+    V_Y,
+)
+from deep_contact.stepping.segments import surface_velocity, wall_velocity
+
+BLOCK = 1024
+"""Contacts coloured together: smaller blocks fill fewer tiles, larger ones leave the nearest cache."""
+
+COLOURS = 64
+"""Number of colours, and of phases, in a bit mask. A contact without a free colour is a batch of its own. Blocks
+without a free phase come last, in the order of the list."""
+
+CONTACTS, BLOCKS, TILES, CIRCLES, ROWS = range(5)
+"""Elements of `BatchPlan.count`."""
+
+BATCHES, PHASE_BITS = range(2)
+"""Columns of `BatchPlan.mark`."""
+
+
+class BatchPlan(NamedTuple):
+    """The batch and the place of each contact: buffers for M contacts of n circles in B blocks."""
+
+    mark: np.ndarray  # (n, 2): colours of each circle in the current block, and phases of each circle, as bits
+    batch: np.ndarray  # (M,): batch of each contact, counted from 0 in each block
+    place: np.ndarray  # (M,): place of each contact: 8 · tile + lane
+    fill: np.ndarray  # (M,): for each batch, the number of its contacts, and then its next free place
+    used: np.ndarray  # (M,): number of lanes in use in each tile
+    first: np.ndarray  # (B + 1,): first tile of each block, and the number of tiles
+    own: np.ndarray  # (B + 1,): first row of each block's contacts with segments, and the number of rows
+    phase: np.ndarray  # (B,): phase of each block
+    order: np.ndarray  # (B,): blocks by phase
+    count: np.ndarray  # (5,): contacts, blocks and tiles in use, circles, rows of bodies
+
+
+class Tiles(NamedTuple):
+    """Tiles of eight contacts, in the order in which they are relaxed, and bodies: circles, and five for each block."""
+
+    body: np.ndarray  # (T, 2, 8): a, b as rows of `solver_bodies` and `centre`
+    data: np.ndarray  # (T, 6, 8): as in `Rows`
+    impulse: np.ndarray  # (T, 2, 8): λ_n, λ_t, N·s
+    solver_bodies: np.ndarray  # (R, 4): as in the engine: circles, walls and idle bodies of the blocks, segments
+    centre: np.ndarray  # (R, 4): centres of these bodies, see `position_correction.fill_ground`
+
+
+@njit(cache=True)
+def make_plan(n, capacity):
+    """Buffers for a plan of `capacity` contacts of n circles, with the counts of no plan (`is_plan_of`)."""
+    blocks = capacity // BLOCK + 1
+    whole = np.int64
+    return BatchPlan(
+        np.zeros((n, 2), np.uint64), np.empty(capacity, whole), np.empty(capacity, np.uint32),
+        np.empty(capacity, whole), np.empty(capacity, whole), np.empty(blocks + 1, whole),
+        np.empty(blocks + 1, whole), np.empty(blocks, whole), np.empty(blocks, whole), np.full(5, -1, whole),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def make_tiles(rows, tiles):
+    """Buffers for `rows` rows of bodies and for `tiles` tiles."""
+    return Tiles(
+        np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 6, WIDTH)), np.empty((tiles, 2, WIDTH)),
+        np.empty((rows, 4)), np.empty((rows, 4)),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def plan_batches(body_a, body_b, n, plan):
+    """Sort all contacts, (m,) each, into batches: each gets the first colour that its two circles do not have yet.
+
+    This is the greedy colouring of Welsh and Powell (1967), in the order of the list. Returns the plan, a larger one if
+    needed.
+    """
+    m = body_a.shape[0]
+    if m > plan.batch.shape[0]:
+        plan = make_plan(n, m + m // 2)
+    blocks, tiles = (m + BLOCK - 1) // BLOCK, 0
+    rows = n + 5 * blocks
+    plan.mark[:] = 0
+    for k in range(blocks):
+        begin, end = k * BLOCK, min(k * BLOCK + BLOCK, m)
+        batches, taken, segments = choose_batches(body_a, body_b, n, begin, end, plan)
+        phase = take_phase(body_a, body_b, n, begin, end, taken, plan)
+        plan.phase[k], plan.first[k], plan.own[k] = phase, tiles, rows
+        tiles, rows = place_contacts(begin, end, batches, tiles, plan), rows + segments
+    plan.first[blocks], plan.own[blocks] = tiles, rows
+    plan.count[CONTACTS], plan.count[BLOCKS], plan.count[TILES], plan.count[CIRCLES] = m, blocks, tiles, n
+    plan.count[ROWS] = rows
+    sort_phases(blocks, plan)
+    return plan
+
+
+@njit(cache=True)
+def is_plan_of(plan, n, contacts, planned):
+    """Whether the plan of the contacts `planned` of n circles holds for other contacts: equal pairs in equal order."""
+    m = contacts.body_a.shape[0]
+    if plan.count[CIRCLES] != n or plan.count[CONTACTS] != m:
+        return False
+    for i in range(m):
+        if contacts.body_a[i] != planned.body_a[i] or contacts.body_b[i] != planned.body_b[i]:
+            return False
+    return True
+
+
+@njit(cache=True)
+def choose_batches(body_a, body_b, n, begin, end, plan):
+    """Choose the batches of the contacts of one block, and count the contacts of each batch in `fill`.
+
+    Returns the number of batches, the phases of the block's circles, as bits, and the number of contacts with segments.
+    Here and below, unsigned integers index arrays: for signed ones, Numba tests every index for being negative.
+    """
+    mark, batches, alone, segments = plan.mark, 0, 0, 0
+    nothing, one = np.uint64(0), np.uint64(1)
+    taken = of_a = nothing
+    held = np.uint32(body_a[begin])  # contacts are sorted by body a, so its marks stay in registers
+    for i in range(begin, end):
+        a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
+        if a != held:
+            taken, mark[held, BATCHES] = taken | mark[held, PHASE_BITS], of_a
+            held, of_a = a, mark[a, BATCHES]
+        of_b, mine = mark[b, BATCHES] if b < n else nothing, nothing
+        batch = lowest_zero(of_a | of_b)
+        if batch == COLOURS:
+            batch, alone = COLOURS + alone, alone + 1
+        else:
+            mine = one << np.uint64(batch)
+        of_a |= mine
+        if b < n:
+            mark[b, BATCHES] = of_b | mine
+            taken |= mark[b, PHASE_BITS]
+        else:
+            segments += b >= n + 4
+        while batch >= batches:
+            plan.fill[begin + batches] = 0
+            batches += 1
+        plan.batch[i] = batch
+        plan.fill[begin + batch] += 1
+    return batches, taken | mark[held, PHASE_BITS], segments
+
+
+@njit(cache=True)
+def take_phase(body_a, body_b, n, begin, end, taken, plan):
+    """The first phase in which no other block has a circle of this block, or `COLOURS`; marks its circles with it.
+
+    taken: phases of the block's circles, as bits. The colours of these circles are cleared.
+    """
+    mark, phase, mine = plan.mark, lowest_zero(taken), np.uint64(0)
+    if phase < COLOURS:
+        mine = np.uint64(1) << np.uint64(phase)
+    for i in range(begin, end):
+        a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
+        mark[a, BATCHES] = 0
+        mark[a, PHASE_BITS] |= mine
+        if b < n:
+            mark[b, BATCHES] = 0
+            mark[b, PHASE_BITS] |= mine
+    return phase
+
+
+@njit(cache=True)
+def place_contacts(begin, end, batches, tile, plan):
+    """Assign places to the contacts of one block, batch by batch from a tile on. Returns the tile after the last."""
+    fill = plan.fill[begin : begin + batches]
+    for c in range(batches):
+        left, fill[c] = fill[c], tile * WIDTH
+        while left > 0:
+            plan.used[tile] = min(left, WIDTH)
+            left -= WIDTH
+            tile += 1
+    for i in range(begin, end):
+        c = plan.batch[i]
+        plan.place[i] = fill[c]
+        fill[c] += 1
+    return tile
+
+
+@njit(cache=True)
+def sort_phases(blocks, plan):
+    """Fill `order`: blocks sorted by phase, and the blocks of a phase in the order of the list."""
+    place = 0
+    for phase in range(COLOURS + 1):
+        for k in range(blocks):
+            if plan.phase[k] == phase:
+                plan.order[place] = k
+                place += 1
+
+
+@njit(cache=True)
+def with_room(plan, tiles):
+    """The tiles, or larger ones if the plan needs them, with walls and idle bodies at rest."""
+    n, rows, last = plan.count[CIRCLES], plan.count[ROWS], plan.count[TILES]
+    if last > tiles.body.shape[0] or rows > tiles.solver_bodies.shape[0]:
+        tiles = make_tiles(n + (rows - n) * 3 // 2 + 5, last + last // 2)
+    tiles.solver_bodies[n : n + 5 * plan.count[BLOCKS]] = 0.0
+    return tiles
+
+
+@njit(cache=True)
+def contacts_of_block(plan, k):
+    """(First contact of block k, the contact after its last)."""
+    return k * BLOCK, min(k * BLOCK + BLOCK, plan.count[CONTACTS])
+
+
+@njit(cache=True, error_model="numpy")
+def place_block(step, contacts, plan, tiles, k, drive):
+    """Write the bodies and the starting impulses of a block's contacts to their places.
+
+    For contacts with walls and segments, also write the row data that `fill_rows` cannot compute. step: `StepInput`.
+    """
+    body, data, impulse, n = tiles.body, tiles.data, tiles.impulse, plan.count[CIRCLES]
+    body_a, body_b, place = contacts.body_a, contacts.body_b, plan.place
+    normal, normal_start, tangent_start = contacts.normal, contacts.normal_start, contacts.tangent_start
+    ground, (begin, end), last = n + 5 * k, contacts_of_block(plan, k), n + 3
+    share, eight = 1.0 / step.parts, np.uint64(WIDTH)
+    fill_ground(step.box, step.scales, tiles.centre[ground : ground + 5])
+    if plan.own[k + 1] > plan.own[k]:
+        place_segments(step, contacts, plan, tiles, k, drive)
+    own = np.uint32(plan.own[k])
+    for i in range(begin, end):
+        t, j = np.uint64(place[i]) // eight, np.uint64(place[i]) % eight
+        a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
+        if b >= n:
+            data[t, N_X, j], data[t, N_Y, j] = normal[i, 0], normal[i, 1]
+            if b > last:
+                b, own = own, own + np.uint32(1)
+            else:
+                b, data[t, ARM_B, j] = np.uint32(ground + b - n), 0.0
+        body[t, BODY_A, j], body[t, BODY_B, j] = a, b
+        impulse[t, NORMAL, j], impulse[t, TANGENT, j] = share * normal_start[i], share * tangent_start[i]
+    pad_block(plan, tiles, k)
+
+
+@njit(cache=True)
+def place_rows(rows, plan, tiles, k):
+    """Write the row data of a block's contacts to their places, as `fill_rows` would. rows: `Rows` that are built."""
+    begin, end = contacts_of_block(plan, k)
+    for i in range(begin, end):
+        for column in range(ARM_B + 1):
+            tiles.data[plan.place[i] // WIDTH, column, plan.place[i] % WIDTH] = rows.data[i, column]
+
+
+@njit(cache=True)
+def move_points(plan, tiles, dt):
+    """Move the contact points on segments with their segments for Δt, in place."""
+    v, centre = tiles.solver_bodies, tiles.centre
+    for row in range(plan.own[0], plan.count[ROWS]):
+        centre[row, 0] += dt * v[row, V_X]
+        centre[row, 1] += dt * v[row, V_Y]
+
+
+@njit(cache=True)
+def place_segments(step, contacts, plan, tiles, k, drive):
+    """Write the contact points of a block on segments, each as a wall of its own (`fill_ground`)."""
+    n, row, (begin, end), skin = plan.count[CIRCLES], plan.own[k], contacts_of_block(plan, k), step.scales.wall_skin
+    centre, solver_bodies, place = tiles.centre, tiles.solver_bodies, plan.place
+    position, radius, line = step.bodies.position, step.bodies.radius, step.segments.line
+    body_a, body_b, normal, separation = contacts.body_a, contacts.body_b, contacts.normal, contacts.separation
+    for i in range(begin, end):
+        s = body_b[i] - n - 4
+        if s >= 0:
+            a, n_x, n_y = body_a[i], normal[i, 0], normal[i, 1]
+            distance = separation[i] + radius[a] + skin
+            centre[row, 0], centre[row, 1] = position[a, 0] + distance * n_x, position[a, 1] + distance * n_y
+            centre[row, 2], centre[row, 3] = skin, 0.0
+            solver_bodies[row, :] = 0.0
+            solver_bodies[row, V_S] = 1.0  # see `rows.move_surfaces`
+            if drive is not None:
+                x, y = contacts.position[i, 0], contacts.position[i, 1]
+                solver_bodies[row, V_X], solver_bodies[row, V_Y] = wall_velocity(line, drive.wall, s, x, y)
+            tiles.data[place[i] // WIDTH, ARM_B, place[i] % WIDTH] = surface_velocity(line[s], n_x, n_y)
+            row += 1
+
+
+@njit(cache=True)
+def fill_rows(tiles, first, last):
+    """Fill the rows of the tiles from `first` to before `last`, in place. Returns whether two centres coincide.
+
+    The row data are those of `rows.contact_rows`, from the centres (`fill_centres`) and from the data that
+    `place_block` writes. The normals of coinciding centres are left to `part_coinciding`.
+    """
+    body, data, centre, v = tiles.body, tiles.data, tiles.centre, tiles.solver_bodies
+    none, one, half, tiny = spread(0.0), spread(1.0), spread(0.5), spread(SMALLEST_DISTANCE)
+    nearest = one
+    for t in range(first, last):
+        row = 6 * t
+        a_x, a_y, r_a, _ = load_rows(centre, body, 2 * t)
+        b_x, b_y, r_b, m_b = load_rows(centre, body, 2 * t + 1)
+        w_a, w_b = load_rows(v, body, 2 * t)[INVERSE_MASS], load_rows(v, body, 2 * t + 1)[INVERSE_MASS]
+        d_x, d_y = b_x - a_x, b_y - a_y
+        distance, coincide = root(times(d_x, d_x) + times(d_y, d_y)), times(tiny, r_a + r_b)
+        # An unused lane is a contact of its block's idle body, without inverse mass, with itself.
+        nearest = least(nearest, where_less(none, w_b, distance - coincide, one))
+        written_x, written_y = load(data, row + N_X), load(data, row + N_Y)
+        n_x = where_less(distance, coincide, written_x, d_x / distance)
+        n_y = where_less(distance, coincide, written_y, d_y / distance)
+        distance = where_less(none, m_b, distance, times(d_x, written_x) + times(d_y, written_y))
+        separation = times(half, distance - r_a - r_b)
+        arm_a = one + separation / r_a
+        arm_b = where_less(none, m_b, one + separation / r_b, load(data, row + ARM_B))
+        both = w_a + w_b
+        turning = times(times(arm_a, arm_a), w_a) + times(times(arm_b, arm_b), w_b)
+        store(data, row + N_X, where_less(none, m_b, n_x, written_x))
+        store(data, row + N_Y, where_less(none, m_b, n_y, written_y))
+        store(data, row + NORMAL_MASS, where_less(none, both, one / both, none))
+        store(data, row + TANGENT_MASS, where_less(none, both, one / (both + (turning + turning)), none))
+        store(data, row + ARM_A, arm_a)
+        store(data, row + ARM_B, arm_b)
+    return any_less(nearest, none)
+
+
+@njit(cache=True)
+def part_coinciding(tiles, first, last):
+    """Write the normals of circles whose centres coincide (`contacts.parting`), in place."""
+    centre = tiles.centre
+    for t in range(first, last):
+        for j in range(WIDTH):
+            a, b = np.int64(tiles.body[t, BODY_A, j]), np.int64(tiles.body[t, BODY_B, j])
+            distance = math.hypot(centre[b, 0] - centre[a, 0], centre[b, 1] - centre[a, 1])
+            if a != b and centre[b, 3] > 0.0 and distance < SMALLEST_DISTANCE * (centre[a, 2] + centre[b, 2]):
+                tiles.data[t, N_X, j], tiles.data[t, N_Y, j] = parting(a, b)
+
+
+@njit(cache=True)
+def start_tiles(tiles, first, last):
+    """`rows.apply_impulses` of the tiles from `first` to before `last`, in place."""
+    body, data, impulse, v = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies
+    for t in range(first, last):
+        row = 6 * t
+        a_x, a_y, a_s, w_a = load_rows(v, body, 2 * t)
+        b_x, b_y, b_s, w_b = load_rows(v, body, 2 * t + 1)
+        n_x, n_y = load(data, row + N_X), load(data, row + N_Y)
+        arm_a, arm_b = load(data, row + ARM_A), load(data, row + ARM_B)
+        p_n, p_t = load(impulse, 2 * t + NORMAL), load(impulse, 2 * t + TANGENT)
+        p_x, p_y, turn = p_n * n_x + p_t * n_y, p_n * n_y - p_t * n_x, p_t + p_t
+        store_rows(v, body, 2 * t, (a_x - w_a * p_x, a_y - w_a * p_y, a_s + w_a * arm_a * turn, w_a))
+        store_rows(v, body, 2 * t + 1, (b_x + w_b * p_x, b_y + w_b * p_y, b_s + w_b * arm_b * turn, w_b))
+
+
+@njit(cache=True)
+def pad_block(plan, tiles, k):
+    """Fill the unused lanes of a block with contacts of its idle body with itself."""
+    idle = plan.count[CIRCLES] + 5 * k + IDLE
+    for t in range(plan.first[k], plan.first[k + 1]):
+        for j in range(plan.used[t], WIDTH):
+            tiles.body[t, BODY_A, j] = tiles.body[t, BODY_B, j] = idle
+            for row in range(6):
+                tiles.data[t, row, j] = 0.0
+            tiles.impulse[t, NORMAL, j] = tiles.impulse[t, TANGENT, j] = 0.0
+
+
+@njit(cache=True)
+def fill_tiles(rows, solver_bodies, plan, tiles):
+    """Copy the rows to their places, and copy the solver bodies. Returns the tiles, or larger ones if needed."""
+    n, tiles = plan.count[CIRCLES], with_room(plan, tiles)
+    for k in range(plan.count[BLOCKS]):
+        ground, (begin, end) = n + 5 * k, contacts_of_block(plan, k)
+        for i in range(begin, end):
+            t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
+            a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
+            tiles.body[t, BODY_A, j] = a
+            tiles.body[t, BODY_B, j] = b if b < n else ground + (b - n)
+            tiles.data[t, :, j] = rows.data[i]
+            tiles.impulse[t, :, j] = rows.impulse[i]
+        pad_block(plan, tiles, k)
+        tiles.solver_bodies[ground : ground + IDLE] = solver_bodies[n:]
+    tiles.solver_bodies[:n] = solver_bodies[:n]
+    return tiles
+
+
+@njit(cache=True)
+def store_block(plan, tiles, contacts, k, parts):
+    """Write the solved impulses of a block, times the number `parts` of substeps, into the contacts, in place."""
+    begin, end = contacts_of_block(plan, k)
+    for i in range(begin, end):
+        t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
+        contacts.normal_impulse[i] = parts * tiles.impulse[t, NORMAL, j]
+        contacts.tangent_impulse[i] = parts * tiles.impulse[t, TANGENT, j]
+
+
+@njit(cache=True)
+def empty_tiles(plan, tiles, rows, solver_bodies):
+    """Copy impulses and velocities from the tiles back into rows and solver bodies, in place."""
+    for i in range(plan.count[CONTACTS]):
+        t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
+        rows.impulse[i, NORMAL], rows.impulse[i, TANGENT] = tiles.impulse[t, NORMAL, j], tiles.impulse[t, TANGENT, j]
+    n = plan.count[CIRCLES]
+    solver_bodies[:n] = tiles.solver_bodies[:n]

@@ -1,0 +1,170 @@
+"""Impulses for a state that carries no impulses yet, or those of another load or another Δt.
+
+A pile whose gravity is switched off still has the impulses that held it up. A few sweeps do not remove them, and the
+rest becomes velocity. A state therefore keeps a digest of the load for which its impulses were solved (`State.load`).
+If the load has changed, the impulses are solved anew, with many sweeps, before the next step starts from them. A run
+that nothing disturbs keeps its bits.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+
+import numpy as np
+
+from deep_contact.solvers import NesterovPGS
+from deep_contact.starts.impulses_at_rest import at_rest
+from deep_contact.starts.support import supported
+from deep_contact.state.checks import check_types
+from deep_contact.state.scales import mean, theta_tolerance
+from deep_contact.state.state import State, StateWithContacts, changed
+from deep_contact.state.validation import number
+from deep_contact.state.world import World
+from deep_contact.stepping.inputs import drive_of
+from deep_contact.stepping.metrics import energy_norm
+from deep_contact.stepping.problem import StepProblem, solve, started, step_problem
+from deep_contact.stepping.rows import best_share, projected
+from deep_contact.stepping.substeps import shift_flights
+
+SWEEPS = 500, 2000
+"""Smallest and largest number of sweeps of an accurate solve; between them it is the number of circles. With few sweeps
+a pile would fall into itself."""
+
+CLOSE = 10.0
+"""θ at which these sweeps end if the load has changed, over the default tolerance of solvers."""
+
+KICK = 0.001
+"""Largest increase of the top speed with which carried impulses stay, in √(g r)."""
+
+RELAXED = 2000
+"""Largest number of iterations of the convex relaxation, which is for states in which nothing moves yet."""
+
+ENDS = 1e-4
+"""Rms speed at which these iterations end, over the speed g Δt that gravity gives in a step."""
+
+RESTS = 0.02
+"""Largest rms speed after the iterations, over g Δt, at which a pile counts as being at rest."""
+
+
+def load_of(state: State) -> tuple[int, int]:
+    """(Load, motion): digests of what the impulses of a state are solved for, and of its velocities and spins.
+
+    The load is the world, Δt, the pushes, and positions, masses and radii of the circles.
+    """
+    position, velocity, _, spin, mass, radius = map(np.ascontiguousarray, state.bodies)
+    load, motion = zlib.crc32(np.float64(state.dt), _of_world(state.world)), zlib.crc32(velocity, zlib.crc32(spin))
+    for values in (position, mass, radius, *(state.push or ())):
+        load = zlib.crc32(values, load)
+    return load, motion
+
+
+def _of_world(world: World) -> int:
+    if (kept := vars(world).get("_digest")) is None:
+        numbers = *world.box, *world.gravity, world.friction, world.restitution, *np.ravel(world.segments)
+        dragging = world.surface_speeds if world.friction > 0 else ()
+        kept = zlib.crc32(np.array([*numbers, *dragging, *(world.scales or ())], np.float64))
+        vars(world)["_digest"] = kept  # cached there, as the grid of its segments: a world never changes
+    return kept
+
+
+def has_new_load(state: State) -> bool:
+    """Whether the contacts and impulses of a state are known to be those of another load."""
+    return state.load is not None and load_of(state)[0] != state.load[0]
+
+
+def with_new_load(state: StateWithContacts, solver) -> StateWithContacts:
+    """The state with impulses that fit its load, made from the impulses of another load that it carries.
+
+    The carried impulses stay if the solver leaves no more energy from them than from impulses of 0, and raises the top
+    speed by at most `KICK`. Otherwise the impulses are solved anew, starting from the carried impulses times the factor
+    that leaves the least energy (`best_share`). If the new impulses leave more energy than impulses of 0, the state
+    starts from 0. solver: of the next steps, with numbers in place of values that follow the scene
+    (`SolverOptions.for_state`).
+    """
+    contacts = state.contacts
+    if not contacts.have_past:
+        return state
+    problem, zero = step_problem(state), (np.zeros(contacts.count), np.zeros(contacts.count))
+    carried = projected(contacts.normal_start, contacts.tangent_start, state.world.friction)
+    energy, (energy_carried, fastest) = (_left(state, *start, solver, problem) for start in (zero, carried))
+    most = np.hypot(*state.bodies.velocity.T).max()
+    most += KICK * math.sqrt(math.hypot(*state.world.gravity) * mean(state.bodies.radius))
+    if energy_carried <= energy[0] and fastest <= most:
+        return state
+    contacts = contacts._replace(normal_start=carried[0], tangent_start=carried[1])
+    share = best_share(started(problem, contacts, problem.friction).rows, problem.solver_bodies)
+    tolerance = CLOSE * theta_tolerance(state.bodies.mass, state.bodies.radius, state.world.gravity, state.dt)
+    impulses = _good(state, share * carried[0], share * carried[1], problem, tolerance)
+    return _starting(state, *(impulses if _left(state, *impulses, solver, problem)[0] <= energy[0] else zero))
+
+
+def with_a_past(state: StateWithContacts) -> StateWithContacts:
+    """The state with impulses from its positions alone: those at which it rests, if there are any, or accurate ones."""
+    if state.contacts.count == 0:
+        return state
+    problem = step_problem(state)
+    normal, tangent = _good(state, *supported(state, problem), problem, None)
+    rows = problem.rows._replace(impulse=np.column_stack([normal, tangent]))
+    # If the best share of these impulses is below one half, the full impulses leave more energy than impulses of 0.
+    if not np.isfinite(rows.impulse).all() or best_share(rows, problem.solver_bodies) < 0.5:
+        return state
+    return _starting(state, normal, tangent)
+
+
+def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:
+    """(λ_n, λ_t), (m,) each, N·s: those at which the state rests (`relaxation`), if there are any, or accurate ones.
+
+    normal, tangent: impulses to start from, (m,) each, N·s. tolerance: θ at which the sweeps end, N·s, or None.
+    """
+    gained, speed = state.dt * math.hypot(*state.world.gravity), math.inf
+    ends, rests = ENDS * gained, RESTS * gained
+    if np.mean(state.bodies.velocity**2) < gained**2:
+        normal, tangent, speed = at_rest(problem, normal, tangent, iterations=RELAXED, speed=ends)
+    if speed > rests:
+        solver = NesterovPGS(sweeps=int(np.clip(state.bodies.count, *SWEEPS)), tolerance=tolerance)
+        solution = solve(state, solver, normal, tangent, problem)
+        normal, tangent = solution.normal_impulses, solution.tangent_impulses
+    return normal, tangent
+
+
+def _left(state: State, normal, tangent, solver, problem: StepProblem) -> tuple[float, float]:
+    """(`energy_norm`, √J, top speed, m/s) of the velocities that a solver leaves if it starts from these impulses."""
+    solution = solve(state, solver, normal, tangent, problem)
+    energy = energy_norm(state.bodies, solution.velocities, solution.angular_velocities)
+    return energy, float(np.hypot(*solution.velocities.T).max())
+
+
+def _starting(state: StateWithContacts, normal, tangent) -> StateWithContacts:
+    """The state that starts from these impulses."""
+    contacts = state.contacts._replace(normal_start=normal, tangent_start=tangent)
+    if not state.solved:
+        contacts = contacts._replace(normal_impulse=normal, tangent_impulse=tangent)
+    return state.replace(contacts=contacts)
+
+
+def with_time_step(state: State, dt: float) -> State:
+    """The state with another Δt, s; the impulses that it carries from the last step are scaled by the ratio.
+
+    Without the scaling a change of Δt kicks a pile at rest, whose impulses are m g Δt (Box2D 2.3 scales by `dtRatio`).
+    Where e > 0 circles in flight keep their energy (`substeps.shift_flights`).
+    """
+    contacts = check_types(state).contacts
+    if dt == state.dt:
+        return state
+    if number("dt", dt, above=0) and contacts is not None:
+        ratio, names = dt / state.dt, ["normal_start", "tangent_start"]
+        if not state.solved:  # its impulses are its starts
+            names += ["normal_impulse", "tangent_impulse"]
+        contacts = contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
+        state = with_shifted_flights(state, (state.dt - dt) / getattr(state.solver, "substeps", 1))
+    return state.replace(dt=dt, contacts=contacts)
+
+
+def with_shifted_flights(state: StateWithContacts, change: float) -> StateWithContacts:
+    """The state of a run whose substeps become shorter by `change`, s. If e > 0, circles in flight fly on as before."""
+    if change == 0.0 or state.world.restitution == 0.0 or state.step == 0:
+        return state
+    bodies = state.bodies._replace(velocity=state.bodies.velocity.copy())
+    shift_flights(bodies, state.contacts, state.world.gravity, change, drive_of(state), np.zeros((0, 2)))
+    return changed(state, bodies=bodies)

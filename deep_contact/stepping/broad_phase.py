@@ -1,0 +1,342 @@
+"""Broad phase: which circles are near one another, by a grid of cells and a list that lasts for several steps."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact.compiled import njit
+from deep_contact.state.constants import NEARLY
+
+LEAST_NEAR = 0.1
+"""Smallest gap limit of the list of near pairs, in smallest radii: pairs with a smaller gap are near."""
+
+MOST_NEAR = 1.0
+"""Largest gap limit, in smallest radii: in a packing, few second neighbours are nearer than this."""
+
+NEAR_BY_MOTION = 5.0
+"""Gap limit over the square root of the relative displacement of circles in a step, both in smallest radii. A list with
+a larger limit lasts for more steps, and takes longer to make and to read."""
+
+LASTING = 3
+"""Least number of steps that a list has to last to pay: to make a list takes longer than a search, and to read it takes
+a quarter of a search."""
+
+TRY_AGAIN = 20
+"""Number of searches without a list after a list that did not fit its array, which happens only to heaps of overlapping
+circles."""
+
+CROWDED = 8
+"""Mean number of circles in the cell of a circle, from which on circles are sorted into size levels. Cells are as wide
+as the largest circle, so that small circles crowd in them."""
+
+LEVELS = 16
+"""Largest number of size levels. The last level holds all remaining circles."""
+
+STEP = 8.0
+"""Ratio of the largest to the smallest radius of a size level."""
+
+GRID = np.dtype(
+    [
+        ("x", float),  # of the grid's corner, m
+        ("y", float),
+        ("per_metre", float),  # cells per metre
+        ("widest", float),  # largest radius, m
+        ("columns", np.int64),
+        ("rows", np.int64),
+        ("first_cell", np.int64),
+    ]
+)
+"""Grid of a size level: the place and the number of its cells, and its largest radius."""
+
+LIST_MEMORY = np.dtype(
+    [
+        ("searches", np.int64),  # since the last sorting; -1 before the first
+        ("pairs", np.int64),  # in the list; -1 where there is none
+        ("wait", np.int64),  # searches until a list is tried again, after one that did not fit
+        ("gap", float),  # limit below which a pair is near, m
+    ]
+)
+"""Age and size of the list of near pairs."""
+
+
+class Cells(NamedTuple):
+    """Buffers of the broad phase over n circles, and its list of near pairs (Verlet's neighbour list).
+
+    All touching pairs are in the list as long as no circle has moved by more than half the gap limit, relative to the
+    common motion of all circles. No list is made if it would not last long enough.
+    """
+
+    start: np.ndarray  # (8n + 1000,): circles `order[start[c]:start[c + 1]]` are in cell c
+    order: np.ndarray  # (n,): circles by level and cell, in a cell by index
+    cell: np.ndarray  # (n,): cell of each circle: row * columns + column in the grid of its level
+    circle: np.ndarray  # (n, 3): x, y, radius in the order of `order`
+    anchor: np.ndarray  # (n, 2): positions at the last sorting
+    first: np.ndarray  # (n + 1,): circles `near[first[a]:first[a + 1]]` are near a and come after it
+    near: np.ndarray  # (8n + 40,): near circles, for each a by index
+    memory: np.ndarray  # (1,): `LIST_MEMORY`
+    level: np.ndarray  # (n,): size level of each circle; level 0 holds the largest
+    grid: np.ndarray  # (16,): `GRID` of each level
+
+
+def make_cells(n):
+    """Buffers of the broad phase over n circles."""
+    memory = np.zeros(1, LIST_MEMORY)
+    memory[0]["searches"] = memory[0]["pairs"] = memory[0]["wait"] = -1
+    return Cells(
+        np.empty(8 * n + 1000, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3)),
+        np.empty((n, 2)), np.empty(n + 1, np.int64), np.empty(8 * n + 40, np.int32), memory,
+        np.empty(n, np.int64), np.zeros(LEVELS, GRID),
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def refresh_list(position, radius, cells, ahead):
+    """Make the list of near pairs in `cells` anew if it is out of date and a new list pays. Returns whether it exists.
+
+    ahead: gap, m, up to which the list has all pairs.
+    """
+    n, memory, x, y, apart = position.shape[0], cells.memory[0], 0.0, 0.0, math.inf
+    half = 0.49 * (memory["gap"] - ahead)
+    if n == 0:
+        return False
+    if memory["searches"] >= 0:
+        memory["searches"] += ahead == 0.0
+        if memory["pairs"] >= 0 and moves_within(position, cells.anchor, x, y, half):
+            return True
+        x, y, apart = common_motion(position, cells.anchor)
+        if memory["pairs"] >= 0 and moves_within(position, cells.anchor, x, y, half):
+            return True
+    if not math.isfinite(sum_of(position)):
+        memory["pairs"] = -1
+        return False
+    smallest = smallest_of(radius)
+    gap, apart = MOST_NEAR * smallest, apart / max(memory["searches"], 1)
+    if memory["wait"] > 0:
+        memory["wait"] -= 1
+    elif LASTING * apart + ahead <= gap:
+        gap = min(gap, ahead + smallest * max(LEAST_NEAR, NEAR_BY_MOTION * math.sqrt(apart / smallest)))
+        find_near(position, radius, gap, cells)
+        if memory["pairs"] >= 0:
+            return True
+        memory["wait"] = TRY_AGAIN
+    remember(position, gap, cells)
+    return False
+
+
+@njit(cache=True)
+def remember(position, gap, cells):
+    """Record the positions of the circles and the gap limit, m, and that there is no list for them."""
+    for i in range(position.shape[0]):
+        cells.anchor[i, 0], cells.anchor[i, 1] = position[i, 0], position[i, 1]
+    memory = cells.memory[0]
+    memory["searches"], memory["pairs"], memory["gap"] = 0, -1, gap
+
+
+@njit(cache=True)
+def moves_within(position, anchor, x, y, distance):
+    """Whether the displacement of every circle from its anchor differs from (x, y) by at most the distance, m.
+
+    It is False if a position is not a number.
+    """
+    within, square = distance >= 0.0, distance * distance
+    for i in range(position.shape[0]):
+        dx, dy = position[i, 0] - anchor[i, 0] - x, position[i, 1] - anchor[i, 1] - y
+        within &= dx * dx + dy * dy <= square
+    return within
+
+
+@njit(cache=True, fastmath={"nnan", "nsz"})
+def common_motion(position, anchor):
+    """(x, y, apart): the middle of the circles' displacements, and an upper bound of their differences, m."""
+    x_min = x_max = position[0, 0] - anchor[0, 0]
+    y_min = y_max = position[0, 1] - anchor[0, 1]
+    for i in range(position.shape[0]):
+        dx, dy = position[i, 0] - anchor[i, 0], position[i, 1] - anchor[i, 1]
+        x_min, x_max, y_min, y_max = min(x_min, dx), max(x_max, dx), min(y_min, dy), max(y_max, dy)
+    return 0.5 * (x_min + x_max), 0.5 * (y_min + y_max), math.hypot(x_max - x_min, y_max - y_min)
+
+
+@njit(cache=True)
+def sum_of(rows):
+    """The sum of an array, (n, 2): not finite where an element is not. Numba's own `sum` is four functions more."""
+    total = 0.0
+    for i in range(rows.shape[0]):
+        total += rows[i, 0]
+        total += rows[i, 1]
+    return total
+
+
+@njit(cache=True, fastmath={"nnan", "nsz"})
+def smallest_of(values):
+    """The least of some numbers. With these fast-math flags the loop vectorises."""
+    smallest = values[0]
+    for i in range(values.shape[0]):
+        smallest = min(smallest, values[i])
+    return smallest
+
+
+@njit(cache=True, error_model="numpy")
+def sort_into_cells(position, radius, gap, cells):
+    """Broad phase: sort the circles into cells (`sort_level`). Fills `cells`. Returns the number of size levels.
+
+    position: (n, 2), m. radius: (n,), m. gap: largest gap of the pairs to be found, m. All circles share one level,
+    unless small circles crowd in the cells of the largest.
+    """
+    cells.level[:] = 0
+    levels, last = 0, 1
+    while levels < last:
+        # Typed zeros: a literal 0 has a type of its own, for which `sort_level` would be compiled once more.
+        levels, cell, circle = last, np.int64(0), np.int64(0)
+        for number in range(levels):
+            cell, circle = sort_level(number, position, radius, gap, cell, circle, cells)
+        if levels == 1 and is_crowded(cells, radius.shape[0], cell):
+            last = choose_levels(radius, cells.level)
+    return levels
+
+
+@njit(cache=True, error_model="numpy")
+def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
+    """Counting sort of the circles of one level into square cells at least one diameter and a gap wide.
+
+    Fills `grid` of the level, and `start` and `order` from the first cell and the first circle on. Returns the cell and
+    the circle after the last. The grid covers the centres. Cells are wider if there would be more than about four of
+    them per circle.
+    """
+    n, level, grid = position.shape[0], cells.level, cells.grid[number]
+    x_min = y_min = math.inf
+    x_max = y_max = -math.inf
+    inside, widest = 0, 0.0
+    for i in range(n):
+        if level[i] == number:
+            inside += 1
+            widest = max(widest, radius[i])
+            x_min, x_max = min(x_min, position[i, 0]), max(x_max, position[i, 0])
+            y_min, y_max = min(y_min, position[i, 1]), max(y_max, position[i, 1])
+    if inside == 0:
+        grid["columns"] = 0  # no cells: those of an earlier search are not read
+        return first_cell, first_circle
+    high, wide = y_max - y_min, x_max - x_min
+    width = max(2.0 * widest + gap, math.sqrt(wide * high / (4.0 * inside + 16.0)))
+    per_metre = (1.0 - 1e-12) / max(width, max(wide, high) / (inside + 4.0))
+    columns, rows = int(wide * per_metre) + 1, int(high * per_metre) + 1
+    grid["x"], grid["y"], grid["per_metre"], grid["widest"] = x_min, y_min, per_metre, widest
+    grid["columns"], grid["rows"], grid["first_cell"] = columns, rows, first_cell
+    count = columns * rows
+    begin = cells.start[first_cell : first_cell + count + 1]
+    begin[:] = 0
+    for i in range(n):
+        if level[i] == number:
+            column, row = int((position[i, 0] - x_min) * per_metre), int((position[i, 1] - y_min) * per_metre)
+            cells.cell[i] = row * columns + column
+            begin[cells.cell[i]] += 1
+    total = first_circle
+    for c in range(count + 1):
+        total += begin[c]
+        begin[c] = total
+    # Filled from the back, which leaves begin[c] where cell c begins.
+    for i in range(n - 1, -1, -1):
+        if level[i] == number:
+            begin[cells.cell[i]] -= 1
+            k = begin[cells.cell[i]]
+            cells.order[k] = i
+            cells.circle[k, 0], cells.circle[k, 1], cells.circle[k, 2] = position[i, 0], position[i, 1], radius[i]
+    return first_cell + count + 1, first_circle + inside
+
+
+@njit(cache=True)
+def is_crowded(cells, n, count):
+    """Whether the first cells are so full that size levels pay. n: number of circles. count: number of these cells."""
+    in_cells_of_all = 0
+    for c in range(count - 1):
+        inside = cells.start[c + 1] - cells.start[c]
+        in_cells_of_all += inside * inside
+    return in_cells_of_all > CROWDED * n
+
+
+@njit(cache=True, error_model="numpy")
+def choose_levels(radius, level):
+    """Fill the level of each circle by its size. Returns the number of levels, which is 1 if the radii are similar."""
+    largest, smallest = radius[0], radius[0]
+    for i in range(radius.shape[0]):
+        largest, smallest = max(largest, radius[i]), min(smallest, radius[i])
+    levels = 1
+    if STEP * smallest < largest:
+        for i in range(radius.shape[0]):
+            level[i], least = 0, largest / STEP
+            while radius[i] < least and level[i] < LEVELS - 1:
+                level[i] += 1
+                least /= STEP
+            levels = max(levels, level[i] + 1)
+    return levels
+
+
+TOUCHING = NEARLY**2
+
+
+@njit(inline="always")
+def circles_around(a, position, reach, levels, cells, found, m):
+    """Write circles with an index above a into `found`, from place m on, sorted: those near the centre of circle a.
+
+    A circle is near if its centre is within `reach` plus its own radius, m. Returns the place after the last, or -1 if
+    the circles may not fit.
+    """
+    x, y, first = position[a, 0], position[a, 1], np.int64(m)
+    circle, order = cells.circle, cells.order
+    for level in range(levels):
+        grid = cells.grid[level]
+        columns, per_metre = grid["columns"], grid["per_metre"]
+        column, row = (x - grid["x"]) * per_metre, (y - grid["y"]) * per_metre
+        span = TOUCHING * (reach + grid["widest"]) * per_metre + 1e-9  # the summand exceeds rounding
+        left, right = int(max(column - span, 0.0)), int(min(column + span, columns - 1.0))
+        if left > right:
+            continue
+        for neighbour in range(int(max(row - span, 0.0)), int(min(row + span, grid["rows"] - 1.0)) + 1):
+            # The cells of a row lie side by side, so these are one run of circles.
+            corner = grid["first_cell"] + neighbour * columns
+            start, stop = cells.start[corner + left], cells.start[corner + right + 1]
+            if m >= 0 and m + (stop - start) > found.shape[0]:
+                m = -1
+            if m < 0:
+                continue
+            for k in range(start, stop):
+                d_x, d_y, within = circle[k, 0] - x, circle[k, 1] - y, circle[k, 2] + reach
+                # Written always and kept if it is near: cheaper than a branch that cannot be predicted.
+                found[m] = order[k]
+                m += (d_x * d_x + d_y * d_y <= TOUCHING * within * within) & (order[k] > a)
+    if m >= 0:
+        _sort_run(found, first, m)
+    return m
+
+
+@njit(cache=True, error_model="numpy")
+def find_near(position, radius, gap, cells):
+    """Fill the list with the pairs whose gap is at most `gap`, m. If the pairs do not fit, there is no list."""
+    n, m = position.shape[0], np.int64(0)
+    levels = sort_into_cells(position, radius, gap, cells)
+    remember(position, gap, cells)
+    for a in range(n):
+        cells.first[a] = m
+        m = circles_around(a, position, radius[a] + gap, levels, cells, cells.near, m)
+        if m < 0:
+            return
+    cells.first[n] = cells.memory[0]["pairs"] = m
+
+
+@njit(cache=True, error_model="numpy")
+def _sort_run(values, start, stop):
+    """Sort values[start:stop], in place, by insertion; first with larger strides where there are many (Shell 1959)."""
+    stride = 1
+    while 9 * stride < stop - start:
+        stride = 3 * stride + 1
+    while stride > 0:
+        for i in range(start + stride, stop):
+            value = values[i]
+            j = i
+            while j >= start + stride and values[j - stride] > value:
+                values[j] = values[j - stride]
+                j -= stride
+            values[j] = value
+        stride //= 3

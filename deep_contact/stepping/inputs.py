@@ -1,0 +1,62 @@
+"""What the steps of a run read of its state: `step_input`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deep_contact.state.scales import ContactScales, mean
+from deep_contact.state.state import State
+from deep_contact.stepping.context import Drive, Motion, StepInput
+from deep_contact.stepping.interface import SolverOptions, entry_of
+from deep_contact.stepping.segment_grid import segments_in_grid
+
+
+def leaves_tangents_out(state: State, solver) -> bool:
+    """Whether a step has no tangent rows: μ = 0, no contact starts from a tangent impulse, and the loop allows it."""
+    return state.world.friction == 0 and entry_of(solver).advance is None and not state.contacts.tangent_start.any()
+
+
+UNDIVIDED = SolverOptions()
+"""The options of a step that is solved once."""
+
+
+def step_input(state: State, solver, scales: ContactScales | None = None) -> StepInput:
+    """The `StepInput` of the next steps of a state; it shares the state's arrays.
+
+    solver: None for rows with tangents, an undivided step and the state's own scales.
+    """
+    world, options = state.world, UNDIVIDED if solver is None else solver
+    friction = None if solver is not None and leaves_tangents_out(state, solver) else world.friction
+    scales, most = scales_of(state, options) if scales is None else scales, options.motion_parts
+    parts = options.substeps
+    step = StepInput(state.bodies, world.box, None, world.gravity, friction, None, state.dt / parts, parts, scales)
+    drive = drive_of(state)
+    if most == 1 and not world.segments and world.restitution == 0.0 and drive is None:
+        return step
+    motion = Motion(most, options.approach * mean(state.bodies.radius)) if most > 1 else Motion(1, 0.0)
+    segments = segments_in_grid(world, reach_of(state, scales))
+    if world.segment_velocities:
+        segments = segments._replace(line=segments.line.copy())
+    return step._replace(segments=segments, restitution=world.restitution, motion=motion, drive=drive)
+
+
+def drive_of(state: State) -> Drive | None:
+    """Kinematics and external force of a state's next step; None without moving segments, fixed circles and pushes."""
+    (force, torque), world, n = state.push or (None, None), state.world, state.bodies.count
+    if force is None and not world.segment_velocities and not state.bodies.is_fixed.any():
+        return None
+    if force is None:
+        force, torque = np.zeros((n, 2)), np.zeros(n)
+    wall = np.array(world.segment_velocities or np.zeros((len(world.segments), 4))).reshape(-1, 4)
+    return Drive(wall, np.flatnonzero(wall.any(axis=1)), force, torque)
+
+
+def reach_of(state: State, scales: ContactScales) -> float:
+    """Largest distance from a segment at which the centre of a circle has a contact with it, m."""
+    return float(state.bodies.radius.max(initial=0.0)) + scales.wall_skin
+
+
+def scales_of(state: State, solver) -> ContactScales:
+    """The scales of a state with the solver's slop."""
+    slop, scales = solver.slop, state.scales
+    return scales if slop == 1.0 else scales._replace(slop=slop * scales.slop)

@@ -1,0 +1,202 @@
+"""What steps log: numbers of each step, sums over the steps, and the impulses of each pair in a watched step."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact.compiled import njit
+from deep_contact.state.arrays import Contacts
+from deep_contact.stepping.segments import moves, wall_velocity
+
+DONE, WORK, LAST_SWEEPS, WATCHED, FINITE, PASSED = range(6)
+"""Elements of `StepLog.progress`: number of the solver's substeps that are done; work, in relaxations, until the call
+ends; sweeps of the last solve; whether the call is a single step whose impulses are logged in `StepLog.received`;
+whether all positions are finite; 1 + the circle over which a moving segment has passed last, or 0."""
+
+PAIR, X, Y, N_X, N_Y, SEPARATION, P_X, P_Y = range(8)
+"""Columns of `StepLog.received`: the two bodies as one number (`pair_of`); contact point, m, normal and separation, m,
+of the contact when it came; impulse on its second body, N·s."""
+
+MOST_BODIES = 2**26
+"""Largest number of bodies, walls and segments included, with which float64 holds the number of a pair exactly."""
+
+BESIDE_SWEEPS = 20
+"""Work of a substep outside of its sweeps, in relaxations per contact."""
+
+
+class StepLog(NamedTuple):
+    """Log of steps, (steps,) each. Of a divided step: contacts and θ of its last substep, sums of the other columns."""
+
+    contacts: np.ndarray
+    sweeps: np.ndarray
+    theta: np.ndarray  # θ of the last sweep, N·s
+    relaxations: np.ndarray
+    parts: np.ndarray  # number of substeps
+    progress: np.ndarray  # (6,): `DONE`, `WORK`, `LAST_SWEEPS`, `WATCHED`, `FINITE`, `PASSED`
+    loads: np.ndarray  # (4 + S, 2): sum of the impulses on walls and segments, N·s; (0, 2): not logged
+    received: np.ndarray  # (k, 8): impulses of each pair in a watched step, of rebounds and solves, sorted by `PAIR`
+    on_circles: np.ndarray  # (n, 2): sum of the contact impulses on the circles, N·s; (0, 2): not logged
+    work: np.ndarray  # (1,): work of moving segments, fixed circles and pushes, J
+    shifts: np.ndarray  # (n, 2): momentum from gravity and pushes beyond Δt (m g + f), N·s; (0, 2): not logged
+
+
+def make_log(steps: int, loads: int = 0, circles: int = 0, shifts: int = 0) -> StepLog:
+    """A log of `steps` steps, all of which one call may do.
+
+    loads: number of walls and segments, or 0 to log no impulses on them. circles, shifts: number of circles, or 0 to
+    log no `on_circles` or no `shifts`.
+    """
+    columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64, np.int64))
+    progress = np.array([0, 2**63 - 1, 0, 0, 1, 0])  # without a bound on the work
+    sums = np.zeros((loads, 2)), np.zeros((0, 8)), np.zeros((circles, 2)), np.zeros(1), np.zeros((shifts, 2))
+    return StepLog(*columns, progress, *sums)
+
+
+def some_steps(log: StepLog, first: int, count: int, work: int, is_watched: bool) -> StepLog:
+    """`count` rows of a log from `first` on, as views, for a call that ends after this work, in relaxations."""
+    progress = np.array([0, work, 0, is_watched, 1, 0])
+    return StepLog(*(column[first : first + count] for column in log[:5]), progress, *log[6:])
+
+
+@njit(cache=True)
+def log_part(log, k, contacts, sweeps, theta, relaxations):
+    """Add a substep of the k-th step to the log, in place."""
+    log.contacts[k] = contacts
+    log.sweeps[k] += sweeps
+    log.theta[k] = theta[sweeps - 1] if sweeps > 0 else np.inf
+    log.relaxations[k] += relaxations
+    log.parts[k] += 1
+    log.progress[WORK] -= relaxations + BESIDE_SWEEPS * contacts
+    log.progress[LAST_SWEEPS] = sweeps
+
+
+@njit(cache=True, error_model="numpy")
+def log_work(step, contacts, solver_bodies, log):
+    """Log the work of the actuation in a substep: the work of its solved impulses, and that of pushes.
+
+    The power of a push is its force times the mean of the velocities before and after the substep.
+    """
+    bodies, drive, of_pushes = step.bodies, step.drive, 0.0
+    for i in range(bodies.mass.shape[0]):
+        if bodies.mass[i] < np.inf:
+            v_x, v_y = bodies.velocity[i, 0] + solver_bodies[i, 0], bodies.velocity[i, 1] + solver_bodies[i, 1]
+            turn = bodies.spin[i] + solver_bodies[i, 2] / bodies.radius[i]
+            of_pushes += drive.force[i, 0] * v_x + drive.force[i, 1] * v_y + drive.torque[i] * turn
+    log.work[0] += work_on(step, contacts, impulses_of(contacts, 1.0 / step.parts)) + 0.5 * step.dt * of_pushes
+
+
+@njit(cache=True, error_model="numpy")
+def work_on(step, contacts, impulse):
+    """The work of moving segments and fixed circles, J, from the impulses on second bodies, (m, 2), N·s.
+
+    The work of moving surfaces (`World.surface_speeds`) is not included. contacts: at the positions of the circles.
+    """
+    bodies, drive, work = step.bodies, step.drive, 0.0
+    n = bodies.mass.shape[0]
+    for i in range(impulse.shape[0]):
+        a, b, x, y = contacts.body_a[i], contacts.body_b[i], contacts.position[i, 0], contacts.position[i, 1]
+        v_x, v_y, sign = 0.0, 0.0, -1.0
+        if b >= n:
+            if b >= n + 4 and moves(drive.wall, b - n - 4):
+                v_x, v_y = wall_velocity(step.segments.line, drive.wall, b - n - 4, x, y)
+        else:
+            fixed = b
+            if bodies.mass[a] == np.inf:
+                fixed, sign = a, 1.0
+            if bodies.mass[fixed] == np.inf:
+                v_x = bodies.velocity[fixed, 0] - bodies.spin[fixed] * (y - bodies.position[fixed, 1])
+                v_y = bodies.velocity[fixed, 1] + bodies.spin[fixed] * (x - bodies.position[fixed, 0])
+        work += sign * (impulse[i, 0] * v_x + impulse[i, 1] * v_y)
+    return work
+
+
+@njit(cache=True)
+def is_asked(log):
+    """Whether impulses are logged."""
+    return log.loads.shape[0] > 0 or log.on_circles.shape[0] > 0 or log.progress[WATCHED] != 0
+
+
+@njit(cache=True)
+def impulses_of(contacts, share):
+    """The impulses of contacts on their second bodies, times `share`, (m, 2), N·s."""
+    impulse = np.empty((contacts.body_a.shape[0], 2))
+    for i in range(impulse.shape[0]):
+        p_n, p_t = share * contacts.normal_impulse[i], share * contacts.tangent_impulse[i]
+        impulse[i, 0] = p_n * contacts.normal[i, 0] + p_t * contacts.normal[i, 1]
+        impulse[i, 1] = p_n * contacts.normal[i, 1] - p_t * contacts.normal[i, 0]
+    return impulse
+
+
+@njit(cache=True)
+def log_impulses(log, received, contacts, impulse, n):
+    """Log impulses on the second bodies of contacts, (m, 2), N·s: `loads` and `on_circles` change in place.
+
+    n: number of circles. Returns `StepLog.received` with these impulses.
+    """
+    m, j = impulse.shape[0], 0
+    for i in range(m if log.loads.shape[0] > 0 else 0):
+        wall = contacts.body_b[i] - n
+        if wall >= 0:
+            log.loads[wall, 0] += impulse[i, 0]
+            log.loads[wall, 1] += impulse[i, 1]
+    for i in range(m if log.on_circles.shape[0] > 0 else 0):
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        for axis in range(2):
+            log.on_circles[a, axis] -= impulse[i, axis]
+            if b < n:
+                log.on_circles[b, axis] += impulse[i, axis]
+    if m == 0 or log.progress[WATCHED] == 0:
+        return received
+    received = with_pairs(received, contacts)
+    for i in range(m):
+        while received[j, PAIR] < pair_of(contacts, i):
+            j += 1
+        received[j, P_X] += impulse[i, 0]
+        received[j, P_Y] += impulse[i, 1]
+    return received
+
+
+@njit(cache=True)
+def with_pairs(received, contacts):
+    """`StepLog.received` with a row for each of these contacts, in their order; itself if it has all rows already."""
+    k, m, new, j = received.shape[0], contacts.body_a.shape[0], 0, 0
+    for i in range(m):
+        while j < k and received[j, PAIR] < pair_of(contacts, i):
+            j += 1
+        new += j == k or received[j, PAIR] > pair_of(contacts, i)
+    if new == 0:
+        return received
+    merged, i, j = np.zeros((k + new, 8)), 0, 0
+    for row in range(k + new):
+        if j < k and (i == m or received[j, PAIR] <= pair_of(contacts, i)):
+            i += i < m and received[j, PAIR] == pair_of(contacts, i)
+            for column in range(8):  # an assignment of rows brings 37 functions along, for the text of its error
+                merged[row, column] = received[j, column]
+            j += 1
+        else:
+            merged[row, PAIR], merged[row, SEPARATION] = pair_of(contacts, i), contacts.separation[i]
+            merged[row, X], merged[row, Y] = contacts.position[i, 0], contacts.position[i, 1]
+            merged[row, N_X], merged[row, N_Y] = contacts.normal[i, 0], contacts.normal[i, 1]
+            i += 1
+    return merged
+
+
+@njit(inline="always")
+def pair_of(contacts, i):
+    """The two bodies of the i-th contact as one number, which increases along the list of contacts."""
+    return contacts.body_a[i] * MOST_BODIES + contacts.body_b[i]
+
+
+def of_whole_step(contacts: Contacts, received: np.ndarray) -> Contacts:
+    """The contacts of a step, also those that came during it, with their impulses summed over the step.
+
+    contacts: at the start of the step. received: of `StepLog`.
+    """
+    pair, x, y, n_x, n_y, separation, p_x, p_y = received.T
+    starts = np.zeros((2, len(pair)))
+    starts[:, np.searchsorted(pair, contacts.body_a * MOST_BODIES + contacts.body_b)] = contacts[7:]
+    impulses = np.maximum(p_x * n_x + p_y * n_y, 0.0), p_x * n_y - p_y * n_x
+    places = np.column_stack([x, y]), np.column_stack([n_x, n_y]), separation.copy()
+    return Contacts(*np.divmod(pair.astype(np.int64), MOST_BODIES), *places, *impulses, *starts)

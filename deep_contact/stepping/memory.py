@@ -1,0 +1,139 @@
+"""What steps keep from one call to the next: `Steps`, with its compiled code and its memory."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deep_contact.compiled.direct import Direct
+from deep_contact.state.arrays import Contacts
+from deep_contact.stepping import sleeping
+from deep_contact.stepping.algorithm import advance
+from deep_contact.stepping.contacts import make_contacts
+from deep_contact.stepping.context import (
+    StepInput,
+    StepMemory,
+    StepOptions,
+    StepSetup,
+    make_memory,
+    make_setup,
+    with_rare,
+)
+from deep_contact.stepping.interface import entry_of, make_workspace
+from deep_contact.stepping.log import DONE, WORK, StepLog, is_asked, log_impulses, work_on
+from deep_contact.stepping.problem import StepProblem, started
+
+
+class Steps:
+    """Steps of one solver: each call does some steps, in memory that the object keeps for the next call.
+
+    solver: options with numbers in place of what follows the scene (`SolverOptions.for_state`). n: number of circles.
+    sleep: whether islands may sleep, where the solver can (`interface.Entry`); all start awake.
+    carry: see `StepOptions`.
+    """
+
+    def __init__(self, solver, n: int, *, sleep: bool = False, carry: bool = True):
+        entry = entry_of(solver)
+        self._advance = entry.advance(solver) if entry.advance else advance
+        self._is_plain = not (sleep or entry.advance)  # whether optional features are left out; once False, it stays
+        self._options = StepOptions(entry.settings(solver), solver.position_sweeps, carry)
+        self._solver, self._memory, self._direct = solver, {}, {}
+        self._asked = self._rare = None  # the last input of steps, and its `with_rare`
+        self._setups: dict = {}  # buffer -> the last input of steps, and its setup
+        self._found: tuple = (None, -1, False)  # body_a of the last contacts, their buffer, and the key of its memory
+        self.sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
+
+    def wake(self) -> None:
+        """Wake all islands."""
+        if self.sleep is not None:
+            self.sleep.still[:] = 0.0
+
+    def memory(self, step: StepInput, contacts: int = 0) -> StepMemory:
+        """The memory of these steps, which differs for rows with and without tangents. contacts: their number."""
+        return self._memories(step, contacts)[-1]
+
+    def _memories(self, step: StepInput, contacts: int) -> list[StepMemory]:
+        """Four memories: memory i < 3 does not overwrite contacts in buffer i; the last is for contacts in no buffer.
+
+        They share everything but the two buffers that each of them fills (`_BUFFERS`).
+        """
+        key = step.friction is None
+        if key not in self._memory:
+            n, m = step.bodies.count, contacts
+            capacity, friction = max(4 * n, m + m // 2) + 64, step.friction
+            memory = make_memory(n, capacity, self._solver.sweeps, friction)
+            workspace = make_workspace(self._options.settings, memory.rows, memory.solver_bodies)
+            memory = memory._replace(workspace=workspace)
+            buffers = *memory.contacts, make_contacts(capacity)
+            self._memory[key] = [memory._replace(contacts=(buffers[i], buffers[j])) for i, j in _BUFFERS]
+        return self._memory[key]
+
+    def _buffer_of(self, contacts: Contacts, key: bool) -> int:
+        """Index of the buffer in which the contacts lie, in the memories of this key; -1 if they lie in none."""
+        found, buffer, kept = self._found
+        return buffer if contacts.body_a is found and key == kept else -1
+
+    def _keep(self, following: Contacts, parts: int, buffer: int, key: bool) -> Contacts:
+        """Record the buffer of the contacts after `parts` substeps, which fill two buffers in turn, and return them."""
+        if self.sleep is not None:  # substeps in which all circles sleep fill no buffer
+            following, buffer = Contacts(*map(np.copy, following)), -1
+        elif parts > 0:
+            buffer = _BUFFERS[buffer][parts % 2]
+        self._found = following.body_a, buffer, key
+        return following
+
+    def __call__(
+        self, step: StepInput, contacts: Contacts, log: StepLog, problem: StepProblem | None = None
+    ) -> tuple[Contacts, np.ndarray]:
+        """Do as many steps as the log has rows, and fill the log. Bodies move in place.
+
+        problem: contact problem of the only step, if it is built already; the step overwrites it. If circles may sleep
+        or the step is divided, it is ignored, and rows are built anew.
+        Returns the contacts at the end, in memory that the next call does not overwrite, and `StepLog.received`.
+        """
+        key, before, built = step.friction is None, 0, None
+        buffer = self._buffer_of(contacts, key)
+        if problem is not None and self.sleep is None and step.parts == self._solver.motion_parts == 1:
+            rows, solver_bodies, _, impacts = started(problem, contacts, step.friction)
+            built = {"rows": rows, "solver_bodies": solver_bodies, "is_built": True}
+            if step.drive is not None:
+                log.work[0] += work_on(step, contacts, impacts)
+            if is_asked(log):
+                received = log_impulses(log, log.received, contacts, impacts, step.bodies.count)
+                log = log._replace(received=received)
+        while True:
+            self._is_plain = self._is_plain and step.motion is None
+            step = step if self._is_plain else self._with_rare(step)
+            kind = self._is_plain, key, step.drive is None  # what the types of all arguments depend on
+            if kind not in self._direct:
+                self._direct[kind] = Direct(self._advance)
+            setup = self._setup_of(step, buffer, contacts.count, built)
+            following, received = self._direct[kind](setup, contacts, step.motion, self.sleep, log, step.drive)
+            parts = int(log.parts[0] if len(log.parts) == 1 else log.parts.sum())
+            following, before = self._keep(following, parts - before, buffer, key), parts
+            if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.parts * len(log.contacts):
+                return following, received
+            # A circle is fast, so the next call has the code for it. The rows that were built are overwritten by now.
+            self._is_plain, contacts, log, built = False, following, log._replace(received=received), None
+            buffer = self._buffer_of(following, key)
+
+    def _setup_of(self, step: StepInput, buffer: int, contacts: int, built: dict | None) -> StepSetup:
+        """The setup of steps whose contacts lie in this buffer. It is kept until the input of the steps changes.
+
+        contacts: their number. built: fields of the memory that are filled already for a single step, or None.
+        """
+        before, setup = self._setups.get(buffer, (None, None))
+        if built is not None or before is not step:
+            memory = self._memories(step, contacts)[buffer]
+            setup = make_setup(step, self._options, memory._replace(**built) if built else memory)
+            if built is None:
+                self._setups[buffer] = step, setup
+        return setup
+
+    def _with_rare(self, step: StepInput) -> StepInput:
+        if step is not self._asked:
+            self._asked, self._rare = step, with_rare(step)
+        return self._rare
+
+
+_BUFFERS = (1, 2), (0, 2), (0, 1), (0, 1)
+"""The two of three buffers that steps fill, if their contacts lie in buffer 0, in buffer 1, in buffer 2, in none."""

@@ -1,0 +1,288 @@
+"""Position correction: penetrating bodies are pushed apart, and their velocities stay as they are.
+
+The method is the nonlinear Gauss-Seidel of Box2D 2.3: each contact in turn moves its two bodies, in proportion to their
+inverse masses, by a share of its present penetration beyond the slop. Circles do not turn.
+
+Circles are pushed along the line of their centres. If many circles lie in almost the same place, each push changes the
+directions of the next pushes, and all circles would follow the first pair along one line. A pair whose line has turned
+by more than 60° since the narrow phase is therefore pushed along the normal of the narrow phase.
+
+`correct_tiles` corrects eight contacts at a time that share no circle. For this, contacts are sorted into levels: the
+level of a contact comes after those of all earlier contacts that share a circle with it, so that every circle meets its
+contacts in the order of the list. No product is fused with a sum. The result therefore has the same bits as contact by
+contact, and `correct_positions` takes the cheaper of the two.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact.compiled import njit, simd
+from deep_contact.compiled.simd import (
+    WIDTH,
+    any_less,
+    lane,
+    least,
+    load,
+    load_rows,
+    most,
+    spread,
+    store_rows,
+    times,
+    where_less,
+)
+from deep_contact.state.arrays import RIGHT, TOP, WALL_NORMALS
+from deep_contact.state.constants import BAUMGARTE, POSITION_TOLERANCE
+from deep_contact.stepping.contacts import SMALLEST_DISTANCE, wall_gap
+from deep_contact.stepping.segment_grid import segment_gap
+
+IDLE = 4
+"""Index of the idle body, which fills unused lanes, among the five bodies behind the circles; 0 to 3 are the walls."""
+
+_IDLE_RADIUS = 1e-200
+"""Radius of the idle body, m. It is not 0, so that the body coincides with itself, but never penetrates by a slop."""
+
+_HEAVY = 1e200
+"""Mass of a fixed circle in tiles, kg: its displacement lies far below rounding, and is not written back."""
+
+TURNED = 0.5
+"""Cosine of the angle between the line of centres and the normal of the narrow phase, below which that normal is
+used."""
+
+_FEW = 3
+"""Number of sweeps up to which levels do not pay: they cost about as much as three sweeps contact by contact."""
+
+_FILLED = 8
+"""Mean number of contacts in a level from which on tiles cost less: in a column each level is one contact."""
+
+_PATIENCE = 50
+"""Number of corrections contact by contact after levels were too empty: a pile does not widen in a few steps."""
+
+CORRECTION_MEMORY = np.dtype([("sweeps", np.int64), ("wait", np.int64)])
+"""Number of sweeps of the last correction, and of corrections until levels are tried again."""
+
+
+class CorrectionRoom(NamedTuple):
+    """Buffers of `correct_positions` for n circles and M contacts."""
+
+    level: np.ndarray  # (n,): for each circle, the first level without a contact of it
+    batch: np.ndarray  # (M,): level of each contact
+    fill: np.ndarray  # (M,): for each level, the number of its contacts, and then its next free place
+    body: np.ndarray  # (T, 2, 8): a, b as rows of `centre`, eight contacts a tile
+    normal: np.ndarray  # (T, 2, 8): normals of these contacts
+    centre: np.ndarray  # (n + 5, 4): the circles, and the five bodies of `fill_ground`
+    memory: np.ndarray  # (1,): `CORRECTION_MEMORY`
+
+
+def make_correction_room(n, capacity):
+    """Buffers for n circles and `capacity` contacts."""
+    tiles = capacity // WIDTH + capacity // _FILLED + 1
+    return CorrectionRoom(
+        np.empty(n, np.int64), np.empty(capacity, np.int64), np.empty(capacity, np.int64),
+        np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 2, WIDTH)), np.empty((n + 5, 4)),
+        np.zeros(1, CORRECTION_MEMORY),
+    )  # fmt: skip
+
+
+_larger_room = njit(cache=True)(make_correction_room)
+
+
+@njit(cache=True, error_model="numpy")
+def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
+    """Push the circles apart, in place, until none penetrates deeper than three slops, or `sweeps` sweeps are done.
+
+    room: `CorrectionRoom`. Its memory of earlier corrections decides which way is cheaper, and changes no bit of the
+    result. Tiles support walls but no segments, so that scenes with segments are corrected contact by contact.
+    """
+    n, m, memory = bodies.mass.shape[0], contacts.body_a.shape[0], room.memory[0]
+    if m > room.batch.shape[0]:
+        room = _larger_room(n, m)
+    tiles, done = 0, 0
+    begin = 0 if memory["sweeps"] > _FEW else _FEW
+    in_turn = segments is not None and segments.line.shape[0] > 0
+    if in_turn:
+        begin = sweeps
+    elif memory["wait"] > 0 or sweeps - begin <= _FEW:
+        memory["wait"], begin = max(memory["wait"] - 1, 0), sweeps
+    while done < sweeps:
+        if done == begin:
+            tiles = fill_levels(contacts, n, room)
+            if tiles > 0:
+                fill_centres(bodies, room.centre)
+                fill_ground(box, scales, room.centre[n:])
+            else:
+                memory["wait"] = _PATIENCE
+        if tiles > 0:
+            deepest = correct_tiles(room.body, room.normal, 2, room.centre, 0, tiles, scales)
+        else:
+            deepest = correct_in_turn(bodies, contacts, box, segments, scales)
+        done += 1
+        if deepest >= -POSITION_TOLERANCE * scales.slop:
+            break
+    if tiles > 0:
+        take_centres(room.centre, bodies)
+    memory["sweeps"] = done
+
+
+@njit(cache=True, error_model="numpy")
+def correct_in_turn(bodies, contacts, box, segments, scales):
+    """One sweep of position correction, contact by contact, in place. Returns the deepest separation, m, or 0."""
+    n = bodies.mass.shape[0]
+    position, radius, mass = bodies.position, bodies.radius, bodies.mass
+    slop, skin, longest = scales.slop, scales.wall_skin, scales.max_correction
+    deepest = 0.0
+    for i in range(contacts.body_a.shape[0]):
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        x, y = position[a, 0], position[a, 1]
+        if b < n:
+            d_x, d_y = position[b, 0] - x, position[b, 1] - y
+            reach = radius[a] + radius[b]
+            wanted = max(reach - slop, 0.0)  # circles smaller than the slop must not be drawn together
+            if d_x * d_x + d_y * d_y >= wanted * wanted:
+                continue  # Nothing to correct; found without a square root.
+            distance = math.sqrt(d_x * d_x + d_y * d_y)
+            separation = distance - reach
+            m_a, m_b = mass[a], mass[b]
+            if m_a == math.inf or m_b == math.inf:  # the other circle takes the whole displacement
+                m_a, m_b = (1.0, 0.0) if m_a == math.inf else (0.0, 1.0)
+            push = min(BAUMGARTE * (wanted - distance), longest) / (m_a + m_b)
+            n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
+            if distance >= SMALLEST_DISTANCE * reach and d_x * n_x + d_y * n_y > TURNED * distance:
+                push /= distance
+            else:
+                d_x, d_y = n_x, n_y
+            position[b, 0] += push * m_a * d_x
+            position[b, 1] += push * m_a * d_y
+            position[a, 0] = x - push * m_b * d_x
+            position[a, 1] = y - push * m_b * d_y
+        else:
+            w = min(b - n, 3)
+            separation, d_x, d_y = wall_gap(x, y, box, w), WALL_NORMALS[w, 0], WALL_NORMALS[w, 1]
+            if segments is not None:
+                if b >= n + 4:
+                    normal = contacts.normal[i]
+                    separation, d_x, d_y = segment_gap(segments.line[b - n - 4], x, y, normal[0], normal[1])
+            separation = separation - radius[a] - skin
+            push = max(0.0, min(-BAUMGARTE * (separation + slop), longest))
+            position[a, 0] = x - push * d_x
+            position[a, 1] = y - push * d_y
+        deepest = min(deepest, separation)
+    return deepest
+
+
+@njit(cache=True)
+def correct_tiles(body, normal, stride, centre, first, last, scales):
+    """`correct_in_turn` over the tiles from `first` to before `last`, in place: eight contacts at a time, equal bits.
+
+    body: (T, 2, 8), rows of `centre` (`fill_ground`). normal: (T, stride, 8), whose first two rows are the normals of
+    the narrow phase.
+    """
+    none, tiny, turned = spread(0.0), spread(SMALLEST_DISTANCE), spread(TURNED)
+    slop, share, longest = spread(scales.slop), spread(BAUMGARTE), spread(scales.max_correction)
+    deepest = none
+    for t in range(first, last):
+        a_x, a_y, r_a, m_a = load_rows(centre, body, 2 * t)
+        b_x, b_y, r_b, m_b = load_rows(centre, body, 2 * t + 1)
+        d_x, d_y, reach = b_x - a_x, b_y - a_y, r_a + r_b
+        wanted = most(reach - slop, none)
+        square, squared = times(d_x, d_x) + times(d_y, d_y), times(wanted, wanted)
+        found_x, found_y = load(normal, stride * t), load(normal, stride * t + 1)
+        # A mass of 0 marks a wall: its normal is fixed, and body a alone moves.
+        along = times(d_x, found_x) + times(d_y, found_y)
+        behind = along - r_a - r_b
+        if not any_less(none, where_less(none, m_b, squared - square, none - slop - behind)):
+            continue  # Nothing to correct; found without a square root.
+        distance = simd.root(square)
+        push = least(times(share, wanted - distance), longest) / (m_a + m_b)
+        # Pairs with coinciding centres, and pairs that have turned, are pushed along the normal of the narrow phase.
+        beyond = where_less(distance, times(tiny, reach), none, along - times(turned, distance))
+        push = where_less(none, beyond, push / distance, push)
+        push = where_less(square, squared, push, none)
+        n_x, n_y = where_less(none, beyond, d_x, found_x), where_less(none, beyond, d_y, found_y)
+        depth = where_less(square, squared, distance - reach, none)
+        from_wall = most(none, least(times(none - share, behind + slop), longest))
+        n_x, n_y = where_less(none, m_b, n_x, found_x), where_less(none, m_b, n_y, found_y)
+        push_a = where_less(none, m_b, times(push, m_b), from_wall)
+        push_b = where_less(none, m_b, times(push, m_a), none)
+        store_rows(centre, body, 2 * t, (a_x - times(push_a, n_x), a_y - times(push_a, n_y), r_a, m_a))
+        store_rows(centre, body, 2 * t + 1, (b_x + times(push_b, n_x), b_y + times(push_b, n_y), r_b, m_b))
+        deepest = least(deepest, where_less(none, m_b, depth, behind))
+    lowest = lane(deepest, 0)
+    for j in range(1, WIDTH):
+        lowest = min(lowest, lane(deepest, j))
+    return lowest
+
+
+@njit(cache=True)
+def fill_levels(contacts, n, room):
+    """Sort the contacts into tiles, level by level. Returns the number of tiles; 0 if these would be too empty.
+
+    The level of a contact is the first one after the levels of all earlier contacts that share a circle with it.
+    """
+    level, batch, fill = room.level, room.batch, room.fill
+    m, levels = contacts.body_a.shape[0], 0
+    level[:] = 0
+    for i in range(m):
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        own = level[a]
+        if b < n:
+            own = max(own, level[b])
+            level[b] = own + 1
+        level[a] = own + 1
+        if own == levels:
+            fill[own] = 0
+            levels += 1
+        batch[i] = own
+        fill[own] += 1
+    if m < _FILLED * levels or m == 0:
+        return 0
+    tiles = 0
+    for k in range(levels):
+        used, fill[k] = fill[k], tiles * WIDTH
+        tiles += (used + WIDTH - 1) // WIDTH
+        for place in range(fill[k] + used, tiles * WIDTH):
+            room.body[place // WIDTH, :, place % WIDTH] = n + IDLE
+            room.normal[place // WIDTH, :, place % WIDTH] = 0.0
+    for i in range(m):
+        place = fill[batch[i]]
+        fill[batch[i]] += 1
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        room.body[place // WIDTH, 0, place % WIDTH] = a
+        room.body[place // WIDTH, 1, place % WIDTH] = b
+        normal = contacts.normal[i] if b < n else WALL_NORMALS[b - n]
+        room.normal[place // WIDTH, 0, place % WIDTH] = normal[0]
+        room.normal[place // WIDTH, 1, place % WIDTH] = normal[1]
+    return tiles
+
+
+@njit(cache=True)
+def fill_centres(bodies, centre):
+    """Write x, y, radius and mass of the circles into the first rows of `centre`, in place."""
+    for i in range(bodies.mass.shape[0]):
+        centre[i, 0], centre[i, 1] = bodies.position[i, 0], bodies.position[i, 1]
+        centre[i, 2], centre[i, 3] = bodies.radius[i], min(bodies.mass[i], _HEAVY)
+
+
+@njit(cache=True)
+def fill_ground(box, scales, ground):
+    """Write the five bodies that are not circles, (5, 4), in place: the four walls and the idle body.
+
+    The columns are x, y, radius and mass, as for circles. A wall is stored as a corner of the box that lies on it, with
+    the skin as radius, and with a mass of 0, which marks it as a wall.
+    """
+    for wall in range(4):
+        ground[wall, 0] = box[2] if wall == RIGHT or wall == TOP else box[0]
+        ground[wall, 1] = box[3] if wall == RIGHT or wall == TOP else box[1]
+        ground[wall, 2], ground[wall, 3] = scales.wall_skin, 0.0
+    ground[IDLE, :2], ground[IDLE, 2], ground[IDLE, 3] = 0.0, _IDLE_RADIUS, 1.0
+
+
+@njit(cache=True)
+def take_centres(centre, bodies):
+    """Write the corrected positions into the bodies that are not fixed, in place."""
+    for i in range(bodies.mass.shape[0]):
+        if bodies.mass[i] < math.inf:
+            bodies.position[i, 0], bodies.position[i, 1] = centre[i, 0], centre[i, 1]

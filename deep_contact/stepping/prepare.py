@@ -1,0 +1,155 @@
+"""The border of the engine: states are checked and completed here, and only here."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from deep_contact.compiled import njit
+from deep_contact.state.arrays import LIMITS, Contacts, no_contacts
+from deep_contact.state.checks import check_limits, check_state, check_types
+from deep_contact.state.fields import UNIT, make_bodies
+from deep_contact.state.state import State, StateWithContacts
+from deep_contact.state.validation import warn
+from deep_contact.stepping.problem import contacts_of
+
+_POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
+    LIMITS[f"bodies.{name}"][:2] for name in ("position", "velocity", "spin", "mass", "radius")
+)
+_FINITE = (-np.finfo(np.float64).max, np.finfo(np.float64).max)
+_SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.normal_start"][:2]
+
+_KINDS = [(array.dtype, array.ndim) for array in (*make_bodies([[0.0, 0.0]]), *no_contacts())]
+"""Data type and number of dimensions of each array of bodies and contacts."""
+
+COINCIDENT = 0.1
+"""Distance of two centres, in the smaller radius, below which `simulate` warns."""
+
+
+def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
+    """The state, checked and completed: valid, within limits, with contacts, and with arrays for compiled code.
+
+    of_step: whether to keep those contacts of a solved state that came during its step.
+    Raises ValueError naming the quantity and the value, and the limit if the value is beyond `state.arrays.LIMITS`.
+    """
+    check_types(state)
+    if not (has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
+        state = check_limits(check_state(state))
+    elif not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
+        check_limits(state)
+    if state.contacts is None:
+        state = state.replace(contacts=contacts_of(state))
+        _warn_of_coincidence(state)
+        _warn_of_outside(state)
+    elif state.solved and not (of_step or state.holds_solution):
+        state = _at_its_begin(state)
+    return state
+
+
+def find_contacts(state: State) -> StateWithContacts:
+    """The state with the contacts at its positions. No impulses are solved.
+
+    Pairs that were contacts of the state keep their impulses; new pairs have impulses of 0. A solved state stays solved
+    if no contact comes or goes. Raises ValueError on a state that is not valid.
+    """
+    old = ready(state)
+    if state.contacts is None:
+        return old
+    contacts = contacts_of(old)
+    end = old.bodies.count + 4 + len(old.world.segments)
+    keys, before = (one.body_a * end + one.body_b for one in (contacts, old.contacts))
+    is_same, starts = np.array_equal(keys, before), old.contacts[7:]
+    _, kept, at = np.intersect1d(keys, before, assume_unique=True, return_indices=True)
+    impulses = (np.maximum(starts[0], 0.0), starts[1]) if old.solved and not is_same else old.contacts[5:7]
+    for values, carried in zip(contacts[5:], (*impulses, *starts)):
+        values[kept] = carried[at]
+    return old.replace(contacts=contacts, solved=old.solved and is_same)
+
+
+def _at_its_begin(state: StateWithContacts) -> StateWithContacts:
+    """The solved state without contacts that came during its step: started from 0, and not touching at its start."""
+    contacts, n = state.contacts, state.bodies.count
+    later = (contacts.normal_start == 0.0) & (contacts.tangent_start == 0.0)
+    if later.any():
+        end = n + 4 + len(state.world.segments)
+        pairs, here = (one.body_a * end + one.body_b for one in (contacts, contacts_of(state)))
+        contacts = Contacts(*(values[~later | np.isin(pairs, here)] for values in contacts))
+    return state.replace(contacts=contacts)
+
+
+def _warn_of_coincidence(state: StateWithContacts) -> None:
+    """Warn if two circles of a scene nearly coincide, so that chance decides the direction in which they separate."""
+    bodies, (a, b) = state.bodies, state.contacts[:2]
+    a, b = a[b < bodies.count], b[b < bodies.count]
+    apart = np.hypot(*(bodies.position[b] - bodies.position[a]).T)
+    near = apart < COINCIDENT * np.minimum(bodies.radius[a], bodies.radius[b])
+    for i in np.flatnonzero(near)[:1]:
+        which = f"circles {a[i]} and {b[i]} nearly coincide, their centres are {apart[i]:.3g} m apart"
+        more = f" ({near.sum():,} pairs do)" if near.sum() > 1 else ""
+        warn(f"bodies.position: {which}{more}; the solver pushes them apart at once")
+
+
+def _warn_of_outside(state: StateWithContacts) -> None:
+    """Warn if circles of a scene have centres outside of the box: its walls pull them in, through other circles."""
+    position, box = state.bodies.position, state.world.box
+    is_outside = ((position < box[:2]) | (position > box[2:])).any(axis=1)
+    outside = np.flatnonzero(is_outside & ~state.bodies.is_fixed)
+    for i in outside[:1]:
+        where = f"circle {i} lies outside of the box {box}, at ({position[i, 0]:g}, {position[i, 1]:g}) m"
+        more = f" ({outside.size:,} circles do)" if outside.size > 1 else ""
+        warn(f"bodies.position: {where}{more}; the walls pull it in step by step")
+
+
+def has_engine_arrays(state: State) -> bool:
+    """Whether all arrays have the types that compiled functions take. `check_state` gives them these types."""
+    return state.contacts is not None and all(
+        type(array) is np.ndarray and array.dtype == dtype and array.ndim == ndim and array.flags.carray
+        for array, (dtype, ndim) in zip((*state.bodies, *state.contacts), _KINDS)
+    )
+
+
+@njit(cache=True)
+def is_valid(bodies, contacts, segments=0):
+    """Whether arrays of the right types pass `check_state` and `check_limits`. segments: their number."""
+    n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
+    end = n + 4 + segments
+    for values, count, limits in (
+        (bodies.position, n, _POSITION), (bodies.velocity, n, _VELOCITY),
+        (contacts.position, m, _FINITE), (contacts.normal, m, _FINITE),
+    ):  # fmt: skip
+        if values.shape[0] != count or values.shape[1] != 2 or not _within(values.reshape(-1), limits):
+            return False
+    for values, count, limits in (
+        (bodies.angle, n, _FINITE), (bodies.spin, n, _SPIN), (bodies.radius, n, _RADIUS),
+        (contacts.separation, m, _SEPARATION), (contacts.normal_impulse, m, (0.0, _IMPULSE[1])),
+        (contacts.tangent_impulse, m, _IMPULSE), (contacts.normal_start, m, _IMPULSE),
+        (contacts.tangent_start, m, _IMPULSE),
+    ):  # fmt: skip
+        if values.shape[0] != count or not _within(values, limits):
+            return False
+    if contacts.body_b.shape[0] != m:
+        return False
+    # Loops without branches vectorise. They need no early end, since a valid state is read to the end anyway.
+    valid, (lightest, heaviest) = True, _MASS
+    for i in range(n):
+        valid &= (lightest <= bodies.mass[i]) & ((bodies.mass[i] <= heaviest) | (bodies.mass[i] == np.inf))
+    for i in range(m):
+        n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
+        valid &= abs(math.sqrt(n_x * n_x + n_y * n_y) - 1) <= UNIT
+    a, b = contacts.body_a, contacts.body_b
+    for i in range(m):
+        valid &= (a[i] >= 0) & (a[i] < n) & (b[i] > a[i]) & (b[i] < end)
+    for i in range(1, m):
+        valid &= (a[i] - a[i - 1]) * end + b[i] - b[i - 1] > 0
+    return valid
+
+
+@njit(cache=True)
+def _within(values, limits):
+    """Whether all values, (k,), lie within the limits; NaN does not."""
+    low, high = limits
+    inside = True
+    for i in range(values.shape[0]):
+        inside &= (low <= values[i]) & (values[i] <= high)
+    return inside

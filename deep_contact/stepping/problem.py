@@ -1,0 +1,166 @@
+"""The contact problem of one step, built and solved by itself.
+
+Starts, exact solutions and errors of solutions are made from it.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact.compiled import njit
+from deep_contact.state import html
+from deep_contact.state.arrays import Contacts
+from deep_contact.state.equality import by_value
+from deep_contact.state.scales import ContactScales
+from deep_contact.state.state import State, native
+from deep_contact.stepping.broad_phase import make_cells
+from deep_contact.stepping.contacts import Walls, find_contacts, make_contacts
+from deep_contact.stepping.convergence import ConvergenceRecord, convergence_record
+from deep_contact.stepping.impacts import rebound
+from deep_contact.stepping.inputs import leaves_tangents_out, reach_of, step_input
+from deep_contact.stepping.interface import entry_of, make_workspace, relax
+from deep_contact.stepping.motion import integrate_velocities
+from deep_contact.stepping.rows import (
+    NORMAL,
+    NORMAL_MASS,
+    TANGENT,
+    V_S,
+    V_Y,
+    Rows,
+    apply_impulses,
+    contact_rows,
+    more_rows,
+    move_walls,
+    room_for_walls,
+)
+from deep_contact.stepping.segment_grid import segments_in_grid
+
+
+@njit(cache=True, error_model="numpy")
+def solve_velocities(rows, friction, settings, solver_bodies, theta):
+    """Solve the rows of a step, in place on their impulses and on the solver bodies. Returns the number of sweeps."""
+    apply_impulses(rows, solver_bodies, friction)
+    sweeps, _ = relax(settings, rows, friction, solver_bodies, theta, make_workspace(settings, rows, solver_bodies))
+    return sweeps
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def build_rows(step, contacts, solver_bodies, drive):
+    """Fill the solver bodies of a step, after its impacts, and return its rows.
+
+    step: `StepInput`. drive: `Drive` of the step, or None.
+    """
+    integrate_velocities(step.bodies, step.gravity, step.dt, solver_bodies, drive)
+    buffer, radius = more_rows(contacts.body_a.shape[0], step.friction), step.bodies.radius
+    rows = contact_rows(contacts, radius, step.segments, solver_bodies, buffer, step.friction, 1.0)
+    if drive is not None:
+        move_walls(contacts, step.segments, solver_bodies, rows, radius.shape[0], drive)
+    return rows
+
+
+@by_value
+class ContactSolution(NamedTuple):
+    """Solution of a contact problem, as a solver left it.
+
+    | field              | meaning                                | shape  | unit  |
+    |--------------------|----------------------------------------|--------|-------|
+    | normal_impulses    | λ_n                                    | (m,)   | N·s   |
+    | tangent_impulses   | λ_t                                    | (m,)   | N·s   |
+    | velocities         | of the circles, after the solve        | (n, 2) | m/s   |
+    | angular_velocities | of the circles, after the solve        | (n,)   | rad/s |
+    | record             | `ConvergenceRecord` of the sweeps      |        |       |
+    """
+
+    normal_impulses: np.ndarray
+    tangent_impulses: np.ndarray
+    velocities: np.ndarray
+    angular_velocities: np.ndarray
+    record: ConvergenceRecord
+
+    def __repr__(self) -> str:
+        return f"ContactSolution({html.counted(self.normal_impulses.size, 'contact')}, {self.record})"
+
+
+class StepProblem(NamedTuple):
+    """The contact problem of a state's next step, after its impacts, built once for the start and for the step."""
+
+    rows: Rows  # with the impulses that the state starts from
+    solver_bodies: np.ndarray  # (n + 4 + contacts with moving segments, 4): after gravity, before impulses
+    friction: float | None  # μ, or None where there are no tangent rows (`started`)
+    impacts: np.ndarray  # (m, 2): impulses on the second bodies of the contacts in the impacts, N·s; (0, 2) if e = 0
+
+
+def after_impacts(state: State) -> tuple[State, np.ndarray]:
+    """(State, impulses): the state with the velocities after the impacts of its next step, and the impacts' impulses.
+
+    The impulses are `StepProblem.impacts`. If e = 0 there are no impacts, and the state itself is returned.
+    """
+    if state.world.restitution == 0.0:
+        return state, np.zeros((0, 2))
+    bodies = state.bodies._replace(velocity=state.bodies.velocity.copy(), spin=state.bodies.spin.copy())
+    state, impacts = state.replace(bodies=bodies), np.zeros((state.contacts.count, 2))
+    step = step_input(state, None)
+    rebound(step, state.contacts, impacts, step.drive)
+    return state, impacts
+
+
+def step_problem(state: State, scales: ContactScales | None = None) -> StepProblem:
+    """The contact problem of the next step, with tangent rows. scales: those of the state, if at hand."""
+    state, impacts = after_impacts(state)
+    solver_bodies, step = np.empty((state.bodies.count + 4, 4)), step_input(state, None, scales)
+    if step.drive is not None:
+        solver_bodies = room_for_walls(solver_bodies, state.contacts, state.bodies.count, step.drive)
+    rows = build_rows(step, state.contacts, solver_bodies, step.drive)
+    return StepProblem(rows, solver_bodies, step.friction, impacts)
+
+
+def started(problem: StepProblem, contacts: Contacts, friction: float | None) -> StepProblem:
+    """The problem with the starting impulses of these contacts; without tangent rows if friction is None.
+
+    problem: with tangent rows.
+    """
+    data, impulse = problem.rows.data, np.empty((contacts.count, 2))
+    impulse[:, NORMAL], impulse[:, TANGENT] = contacts.normal_start, contacts.tangent_start
+    if friction is None:
+        data, impulse = data[:, : NORMAL_MASS + 1].copy(), impulse[:, :TANGENT].copy()
+    return problem._replace(rows=Rows(problem.rows.body, data, impulse), friction=friction)
+
+
+def contacts_of(state: State) -> Contacts:
+    """The contacts at the state's positions, with zero impulses."""
+    bodies, world = native(state).bodies, state.world
+    segments = segments_in_grid(world, reach_of(state, state.scales)) if world.segments else None
+    mass = bodies.mass if bodies.is_fixed.any() else None
+    walls, cells = Walls(world.box, state.scales.wall_skin), make_cells(bodies.count)
+    buffer = make_contacts(4 * bodies.count + 64)
+    found = find_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
+    # Bodies and geometry are copied, since they lie in a larger buffer. The four arrays of impulses are set to zero.
+    return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
+
+
+def solve(
+    state: State, solver, normal_start: np.ndarray, tangent_start: np.ndarray, problem: StepProblem | None = None
+) -> ContactSolution:
+    """Solve the contact problem of a state from starting impulses, (m,) each, N·s. The state stays as it is.
+
+    If e > 0 the impacts come first: the solution's velocities include their effect, but its impulses do not include
+    theirs. problem: `step_problem(state)`, if at hand; it stays as it is.
+    """
+    solver = solver.for_state(state)
+    settings, n = entry_of(solver).settings(solver), state.bodies.count
+    state = state.replace(contacts=state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start))
+    friction = None if leaves_tangents_out(state, solver) else state.world.friction
+    rows, solver_bodies, *_ = started(problem or step_problem(state), state.contacts, friction)
+    # Relaxation scales effective masses in place.
+    rows, solver_bodies, theta = rows._replace(data=rows.data.copy()), solver_bodies.copy(), np.empty(solver.sweeps)
+    sweeps = solve_velocities(rows, friction, settings, solver_bodies, theta)
+    impulse = rows.impulse
+    return ContactSolution(
+        normal_impulses=impulse[:, NORMAL].copy(),
+        tangent_impulses=impulse[:, TANGENT].copy() if friction is not None else np.zeros(len(impulse)),
+        velocities=solver_bodies[:n, : V_Y + 1].copy(),
+        angular_velocities=solver_bodies[:n, V_S] / state.bodies.radius,
+        record=convergence_record(theta[:sweeps], solver, len(impulse)),
+    )

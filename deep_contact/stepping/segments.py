@@ -1,0 +1,297 @@
+"""Segments: lines beside the box, with contacts on both sides and at their ends (`World.segments`).
+
+A segment is (x_0, y_0, x_1, y_1), m, and the speed of its surface, m/s; the segments of a world are an array (S, 5).
+If an end is the nearest point of a segment, the contact of a circle is that with a point. An end that lies on another
+segment or on a wall of the box, or just behind it, has no contact of its own: the other surface has it (`touches`).
+Ghost vertices do this in chains of Box2D 2.3. Without this rule, a circle that rolls over a joint stumbles.
+
+No centre ever crosses a segment at rest. Continuous collision stops fast circles at it (`continuous`), and a centre
+that sweeps or position correction would push through it is clamped to its side (`hold_beside`). A moving segment passes
+over a circle that resting bodies hold in its way (`passing`).
+
+The path of a circle relative to a moving segment begins at the point to which the segment
+would have carried the circle's first position (`carried`).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from deep_contact.compiled import njit
+from deep_contact.state.constants import NEARLY
+from deep_contact.stepping.segment_grid import (
+    _ROUNDING,
+    BEHIND,
+    BESIDE,
+    END,
+    ON,
+    START,
+    circles_beside,
+    near_box,
+    nearest_part,
+    segment_gap,
+    segments_of,
+)
+
+
+@njit(cache=True, error_model="numpy")
+def surface_velocity(segment, n_x, n_y):
+    """Velocity of a segment's surface along the tangent (n_y, -n_x) of a contact with it, m/s."""
+    e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
+    return segment[4] * (e_x * n_y - e_y * n_x) / math.sqrt(e_x * e_x + e_y * e_y)
+
+
+@njit(cache=True)
+def moves(wall, s):
+    """Whether the s-th segment moves. wall: velocities of the ends, (S, 4), m/s."""
+    return wall[s, 0] != 0.0 or wall[s, 1] != 0.0 or wall[s, 2] != 0.0 or wall[s, 3] != 0.0
+
+
+@njit(cache=True)
+def has_moving(drive):
+    """Whether any segment moves. drive: `Drive` of the step, or None."""
+    if drive is None:
+        return False
+    return drive.moving.shape[0] > 0
+
+
+@njit(cache=True, error_model="numpy")
+def wall_velocity(line, wall, s, x, y):
+    """(v_x, v_y) of the s-th segment at its point nearest to (x, y), m/s. wall: velocities of the ends, (S, 4), m/s."""
+    e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
+    t = (e_x * (x - line[s, 0]) + e_y * (y - line[s, 1])) / (e_x * e_x + e_y * e_y)
+    t = min(1.0, max(0.0, t))
+    return wall[s, 0] + t * (wall[s, 2] - wall[s, 0]), wall[s, 1] + t * (wall[s, 3] - wall[s, 1])
+
+
+@njit(cache=True, error_model="numpy")
+def carried(line, wall, s, dt, x, y):
+    """The place to which the s-th segment, which has moved for Δt, would have carried the point (x, y) along, m."""
+    x_0, y_0 = line[s, 0] - dt * wall[s, 0], line[s, 1] - dt * wall[s, 1]
+    f_x, f_y = line[s, 2] - dt * wall[s, 2] - x_0, line[s, 3] - dt * wall[s, 3] - y_0
+    e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
+    square = f_x * f_x + f_y * f_y
+    along = (f_x * (x - x_0) + f_y * (y - y_0)) / square
+    across = (f_x * (y - y_0) - f_y * (x - x_0)) / math.sqrt(square * (e_x * e_x + e_y * e_y))
+    return line[s, 0] + along * e_x - across * e_y, line[s, 1] + along * e_y + across * e_x
+
+
+def ground_velocities(contacts, world, n):
+    """(Along normals, along tangents): velocities of segments and their surfaces at contacts, (m,) each, m/s.
+
+    n: number of circles. The velocities are 0 at contacts with circles and walls.
+    """
+    velocities, line, wall = np.zeros((2, len(contacts.body_a))), segments_of(world), np.array(world.segment_velocities)
+    if world.surface_speeds or world.segment_velocities:
+        for i in np.flatnonzero(contacts.body_b >= n + 4):
+            s, (n_x, n_y) = contacts.body_b[i] - n - 4, contacts.normal[i]
+            velocities[1, i] = surface_velocity(line[s], n_x, n_y)
+            if world.segment_velocities:
+                v_x, v_y = wall_velocity(line, wall, s, *contacts.position[i])
+                velocities[:, i] += v_x * n_x + v_y * n_y, v_x * n_y - v_y * n_x
+    return velocities
+
+
+@njit(cache=True, error_model="numpy")
+def touches(segments, box, s, x, y, reach):
+    """Whether a circle at (x, y) has a contact with segment s: within `reach`, m, and not with a hidden end.
+
+    An end is hidden if a wall, or another segment that is at least as near, has the contact in its place. Of two ends
+    that are equally near, the end of the first segment is not hidden. box: of the `World`.
+    """
+    line = segments.line
+    segment = line[s]
+    if x < min(segment[0], segment[2]) - reach or x > max(segment[0], segment[2]) + reach:
+        return False
+    if y < min(segment[1], segment[3]) - reach or y > max(segment[1], segment[3]) + reach:
+        return False
+    gap, part = segment_gap(segment, x, y)[0], nearest_part(segment, x, y)
+    if not gap <= reach or part == BESIDE:
+        return gap <= reach
+    which = part - START  # 0: its first end, 1: its second
+    end = 2 * s + which
+    e_x, e_y = segment[2 * which], segment[2 * which + 1]
+    if min(e_x - box[0], e_y - box[1], box[2] - e_x, box[3] - e_y) <= ON * reach:
+        return False
+    for k in segments.hiding[segments.first[end] : segments.first[end + 1]]:
+        if hides(line[k], e_x, e_y, x, y, reach):
+            other = segment_gap(line[k], x, y)[0]
+            if other < gap or (other == gap and k < s) or nearest_part(line[k], x, y) == BESIDE:
+                return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def hides(segment, e_x, e_y, x, y, reach):
+    """Whether an end (e_x, e_y) lies on a segment, or just behind it as seen from (x, y): see `ON` and `BEHIND`."""
+    s_x, s_y = segment[2] - segment[0], segment[3] - segment[1]
+    length = math.sqrt(s_x * s_x + s_y * s_y)
+    d_x, d_y = e_x - segment[0], e_y - segment[1]
+    before, along = (s_x * d_y - s_y * d_x) / length, (s_x * d_x + s_y * d_y) / length
+    if s_x * (y - segment[1]) - s_y * (x - segment[0]) < 0.0:
+        before = -before
+    beyond = (BEHIND if nearest_part(segment, x, y) == BESIDE else ON) * reach
+    return -BEHIND * reach <= before <= ON * reach and -beyond <= along <= length + beyond
+
+
+@njit(cache=True)
+def insert_pairs(position, radius, walls, segments, body_a, body_b, m):
+    """Insert touching circles and segments into m sorted pairs, in place. Returns the new number, or -1 if full."""
+    n, end = position.shape[0], m
+    circles = np.empty(n, np.int64)
+    for i in circles[: circles_beside(segments, position, position, circles)]:
+        x, y = position[i, 0], position[i, 1]
+        for s in near_box(segments, x, x, y, y, segments.every):
+            if touches(segments, walls.box, s, x, y, NEARLY * (radius[i] + walls.skin)):
+                if end == body_a.shape[0]:
+                    return -1
+                body_a[end], body_b[end] = i, n + 4 + s
+                end += 1
+    more_a, more_b = body_a[m:end].copy(), body_b[m:end].copy()
+    i, j = m - 1, end - m - 1
+    # Merged from the back. For each circle, segments come after all other bodies.
+    while j >= 0:
+        if i >= 0 and body_a[i] > more_a[j]:
+            body_a[i + j + 1], body_b[i + j + 1] = body_a[i], body_b[i]
+            i -= 1
+        else:
+            body_a[i + j + 1], body_b[i + j + 1] = more_a[j], more_b[j]
+            j -= 1
+    return end
+
+
+@njit(cache=True, error_model="numpy")
+def first_crossing(segments, x, y, to_x, to_y, buffer, drive):
+    """Share of the straight way from (x, y) to (to_x, to_y) at the first crossing of a segment at rest, or infinity."""
+    first = math.inf
+    for s in near_box(segments, min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y), buffer):
+        if drive is not None:
+            if moves(drive.wall, s):
+                continue
+        first = min(first, crossing(segments.line[s], x, y, to_x, to_y))
+    return first
+
+
+@njit(cache=True, error_model="numpy")
+def crossing(segment, x, y, to_x, to_y):
+    """`first_crossing` for one segment, moving or at rest."""
+    e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
+    before = e_x * (y - segment[1]) - e_y * (x - segment[0])
+    after = e_x * (to_y - segment[1]) - e_y * (to_x - segment[0])
+    if (before >= 0.0) != (after >= 0.0):
+        share = before / (before - after)
+        at_x, at_y = x + share * (to_x - x), y + share * (to_y - y)
+        along = (e_x * (at_x - segment[0]) + e_y * (at_y - segment[1])) / (e_x * e_x + e_y * e_y)
+        if -_ROUNDING <= along <= 1.0 + _ROUNDING:
+            return share
+    return math.inf
+
+
+@njit(cache=True)
+def positions_before(bodies, segments):
+    """Positions at the start of a substep, for `hold_beside`: a copy, or without segments the positions themselves."""
+    if segments is None:
+        return bodies.position
+    return bodies.position.copy() if segments.line.shape[0] > 0 else bodies.position
+
+
+@njit(cache=True)
+def may_cross(bodies, before, solved):
+    """Whether a centre may have crossed a segment on its way.
+
+    A centre that moved less than half of its radius has not crossed one, unless it was nearer than that to a segment
+    before, which the separation of a contact shows. before: positions at the start, (n, 2), m. solved: contacts there.
+    """
+    position, radius, n = bodies.position, bodies.radius, bodies.radius.shape[0]
+    body_a, body_b, separation = solved.body_a, solved.body_b, solved.separation
+    crosses = False
+    for i in range(n):
+        m_x, m_y = position[i, 0] - before[i, 0], position[i, 1] - before[i, 1]
+        crosses |= not m_x * m_x + m_y * m_y < 0.25 * radius[i] * radius[i]
+    for k in range(body_a.shape[0]):
+        if body_b[k] >= n + 4:
+            crosses |= not separation[k] > -0.4 * radius[body_a[k]]
+    return crosses
+
+
+@njit(cache=True)
+def hold_beside(bodies, before, segments, drive):
+    """Put centres that have crossed a resting segment back, in place, to half of their way to the crossing.
+
+    before: positions at the start of the substep, (n, 2), m. A centre crosses a segment only if it is pressed harder
+    than the sweeps and position correction can withstand.
+    """
+    position, buffer, circles = bodies.position, np.empty_like(segments.every), np.empty(len(before), np.int64)
+    for i in circles[: circles_beside(segments, before, position, circles)]:
+        x, y = before[i, 0], before[i, 1]
+        share = 0.5 * first_crossing(segments, x, y, position[i, 0], position[i, 1], buffer, drive)
+        if share <= 0.5:
+            to_x, to_y = x + share * (position[i, 0] - x), y + share * (position[i, 1] - y)
+            # A centre that lies on the line, but for rounding, stays where it was.
+            stays = first_crossing(segments, x, y, to_x, to_y, buffer, drive) <= 1.0
+            position[i, 0], position[i, 1] = (x, y) if stays else (to_x, to_y)
+
+
+@njit(cache=True, error_model="numpy")
+def hold_beside_moving(bodies, before, segments, solved, drive, dt):
+    """`hold_beside` for the moving segments, in place. They have moved for Δt, s. solved: contacts at the start of Δt.
+
+    A segment passes over a centre that it crosses if the circle had no contact with it, or was fast relative to it
+    (`continuous`). Returns whether a centre has changed, and a circle over which a segment passes, or −1.
+    """
+    position, line, n = bodies.position, segments.line, bodies.mass.shape[0]
+    changed, passed = False, np.int64(-1)
+    for s in drive.moving:
+        for i in range(n):
+            x, y = carried(line, drive.wall, s, dt, before[i, 0], before[i, 1])
+            share = 0.5 * crossing(line[s], x, y, position[i, 0], position[i, 1])
+            if share > 0.5 or bodies.mass[i] == math.inf:
+                continue
+            m_x, m_y = position[i, 0] - x, position[i, 1] - y
+            if not touched(solved, i, n + 4 + s) or m_x * m_x + m_y * m_y > 0.25 * bodies.radius[i] ** 2:
+                passed = np.int64(i)
+                continue
+            to_x, to_y = x + share * m_x, y + share * m_y
+            stays, changed = crossing(line[s], x, y, to_x, to_y) <= 1.0, True
+            position[i, 0], position[i, 1] = (x, y) if stays else (to_x, to_y)
+    return changed, passed
+
+
+@njit(cache=True)
+def touched(contacts, a, b):
+    """Whether there is a contact between bodies a and b."""
+    for k in range(contacts.body_a.shape[0]):
+        if contacts.body_a[k] == a and contacts.body_b[k] == b:
+            return True
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def time_to_touch(segment, x, y, m_x, m_y, least):
+    """(time, part): when a point that moves by (m_x, m_y), m, first comes within `least`, m, of a segment; or infinity.
+
+    The time is a share of the motion. part: `BESIDE`, `START` or `END`.
+    """
+    e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
+    length = math.sqrt(e_x * e_x + e_y * e_y)
+    gap = (e_x * (y - segment[1]) - e_y * (x - segment[0])) / length
+    speed = (e_y * m_x - e_x * m_y) / length
+    if gap < 0.0:
+        gap, speed = -gap, -speed
+    first, part = math.inf, BESIDE
+    if gap >= least and speed > 0.0:
+        time = (gap - least) / speed
+        if nearest_part(segment, x + time * m_x, y + time * m_y) == BESIDE:
+            first = time
+    for end in (START, END):
+        column = 0 if end == START else 2
+        d_x, d_y = x - segment[column], y - segment[column + 1]
+        approach, beyond = d_x * m_x + d_y * m_y, d_x * d_x + d_y * d_y - least * least
+        under = approach * approach - (m_x * m_x + m_y * m_y) * beyond
+        if approach < 0.0 and beyond >= 0.0 and under >= 0.0:
+            time = beyond / (math.sqrt(under) - approach)
+            if time < first:
+                first, part = time, end
+    return first, part

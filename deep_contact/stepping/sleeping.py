@@ -1,0 +1,211 @@
+"""Sleeping: islands at rest are left as they are, by the rule of Box2D 2.3, until something touches them.
+
+A circle is still while its speed and spin are at most `sleep_speed` and `sleep_spin` of the `ContactScales`. An
+island falls asleep once all of its circles have been still for `sleep_time`, none of them accelerates, and none of its
+contacts needs position correction. The velocities of its circles then become 0, and its contacts keep their impulses
+until it wakes. It wakes as a whole when a circle that is awake touches it, or when the external force on one of its
+circles changes. Contacts are searched among all circles, unless all circles sleep. A new run starts with all circles
+awake.
+
+Box2D does not test the acceleration, so a ball on a slope of 0.003 falls asleep there. Here each circle's displacement
+in half a sleep time is compared with its displacement in the half before. This happens twice in a sleep time, and only
+then do islands fall asleep.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact.compiled import njit
+from deep_contact.state.arrays import Contacts
+from deep_contact.state.constants import POSITION_TOLERANCE
+from deep_contact.stepping.contacts import make_contacts, more_contacts, some_contacts
+from deep_contact.stepping.islands import root_of, unite
+from deep_contact.stepping.rows import INVERSE_MASS
+from deep_contact.stepping.segments import has_moving, moves
+
+STEADY = 0.02
+"""Largest difference of these two displacements of a circle that does not accelerate, in `sleep_speed` times
+`sleep_time`. A ball on a slope of 2.4e-4 reaches it."""
+
+
+class SleepMemory(NamedTuple):
+    """Sleep of n circles, and buffers."""
+
+    still: np.ndarray  # (n,): time for which a circle has been still, s; infinite while it sleeps
+    place: np.ndarray  # (2, n, 2): positions at the last comparison, and at the comparison before, m
+    clock: np.ndarray  # (1,): time since the last comparison, s
+    active: Contacts  # buffer for the `Contacts` of circles that are awake
+    parent: np.ndarray  # (n,): buffer: union-find of the islands
+    shortest: np.ndarray  # (n,): buffer: least `still` of each island, s
+    force: np.ndarray  # (n, 2): external force in the last step in which a circle was awake (`wake_pushed`), N
+    torque: np.ndarray  # (n,): external torque in that step, N·m
+
+    @property
+    def remembered(self) -> tuple[np.ndarray, ...]:
+        """The arrays that a step passes on to the next: all but the buffers."""
+        return self.still, self.place, self.clock, self.force, self.torque
+
+
+def make_sleep_memory(n: int, capacity: int) -> SleepMemory:
+    """A `SleepMemory` of n circles, all awake, with a buffer for `capacity` contacts."""
+    place, clock = np.full((2, n, 2), np.nan), np.full(1, np.inf)
+    buffers = make_contacts(capacity), np.empty(n, np.int64), np.empty(n)
+    return SleepMemory(np.zeros(n), place, clock, *buffers, np.zeros((n, 2)), np.zeros(n))
+
+
+@njit(inline="always")
+def all_asleep(sleep, drive):
+    """Whether all circles sleep and no segment moves. sleep: `SleepMemory`, or None if no circle may sleep."""
+    if sleep is None:
+        return False
+    if has_moving(drive):
+        return False
+    for time in sleep.still:
+        if time < np.inf:
+            return False
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def wake_pushed(contacts, sleep, step):
+    """Wake, in place, the islands of sleeping circles whose external force has changed since they fell asleep.
+
+    If the change accelerates a free circle by less than `look_at_places` detects, the circle sleeps on. contacts: at
+    the bodies' positions. step: `StepInput` with the external force of the next step.
+    """
+    bodies, scales, drive, n = step.bodies, step.scales, step.drive, sleep.still.shape[0]
+    most, is_any = 4.0 * STEADY * scales.sleep_speed / scales.sleep_time, False
+    sleep.shortest[:] = np.inf
+    for i in range(n):
+        if sleep.still[i] == np.inf:
+            change = math.hypot(drive.force[i, 0] - sleep.force[i, 0], drive.force[i, 1] - sleep.force[i, 1])
+            change += abs(drive.torque[i] - sleep.torque[i]) / bodies.radius[i]
+            if change > most * bodies.mass[i]:
+                sleep.shortest[i], is_any = 0.0, True
+    if is_any:
+        unite(contacts.body_a, contacts.body_b, sleep.parent)
+        for i in range(n):
+            root = root_of(sleep.parent, i)
+            sleep.shortest[root] = min(sleep.shortest[root], sleep.shortest[i])
+        for i in range(n):
+            if sleep.shortest[root_of(sleep.parent, i)] == 0.0:
+                sleep.still[i] = 0.0
+    for i in range(n):
+        if sleep.still[i] < np.inf:
+            sleep.force[i, 0], sleep.force[i, 1] = drive.force[i, 0], drive.force[i, 1]
+            sleep.torque[i] = drive.torque[i]
+
+
+@njit(inline="always")
+def awake_contacts(contacts, sleep):
+    """Contacts of circles that are awake, in the buffer, with the fields that a step reads; all if `sleep` is None."""
+    if sleep is None:
+        return contacts
+    still, buffer, m = sleep.still, sleep.active, 0
+    if contacts.body_a.shape[0] > buffer.body_a.shape[0]:
+        buffer = more_contacts(contacts.body_a.shape[0])
+    for i in range(contacts.body_a.shape[0]):
+        # Islands sleep as a whole, so one circle of a contact decides.
+        if still[contacts.body_a[i]] < np.inf:
+            buffer.body_a[m], buffer.body_b[m] = contacts.body_a[i], contacts.body_b[i]
+            buffer.normal[m, 0], buffer.normal[m, 1] = contacts.normal[i, 0], contacts.normal[i, 1]
+            buffer.position[m, 0], buffer.position[m, 1] = contacts.position[i, 0], contacts.position[i, 1]
+            buffer.separation[m] = contacts.separation[i]
+            buffer.normal_start[m], buffer.tangent_start[m] = contacts.normal_start[i], contacts.tangent_start[i]
+            m += 1
+    return some_contacts(buffer, 0, m)
+
+
+@njit(inline="always")
+def store_awake_impulses(active, contacts, sleep):
+    """Write the solved impulses of the active contacts into all contacts, in place: the inverse of `awake_contacts`."""
+    if sleep is None:
+        return
+    j = 0
+    for i in range(contacts.body_a.shape[0]):
+        if sleep.still[contacts.body_a[i]] < np.inf:
+            contacts.normal_impulse[i] = active.normal_impulse[j]
+            contacts.tangent_impulse[i] = active.tangent_impulse[j]
+            j += 1
+
+
+@njit(inline="always")
+def hold_sleeping(solver_bodies, sleep):
+    """Set the velocities of sleeping circles, to which gravity was added, back to 0, in place."""
+    if sleep is None:
+        return
+    for i in range(sleep.still.shape[0]):
+        if sleep.still[i] == np.inf:
+            solver_bodies[i, :INVERSE_MASS] = 0.0
+
+
+@njit(cache=True)
+def look_at_places(sleep, position, dt, scales):
+    """Advance the clock by Δt, in place. Returns whether half a sleep time is over, so that islands may fall asleep.
+
+    If so, circles that accelerate lose the time for which they have been still, except half a sleep time.
+    """
+    sleep.clock[0] += dt
+    if sleep.clock[0] < 0.5 * scales.sleep_time:
+        return False
+    sleep.clock[0], most = 0.0, STEADY * scales.sleep_speed * scales.sleep_time
+    for i in range(position.shape[0]):
+        bend = 0.0
+        for axis in range(2):
+            x, x_1, x_2 = position[i, axis], sleep.place[0, i, axis], sleep.place[1, i, axis]
+            bend += abs(x - 2.0 * x_1 + x_2)
+            sleep.place[0, i, axis], sleep.place[1, i, axis] = x, x_1
+        if sleep.still[i] < np.inf and not bend <= most:
+            sleep.still[i] = min(sleep.still[i], 0.5 * scales.sleep_time)
+    return True
+
+
+@njit(cache=True)
+def wake_and_put_to_sleep(step, contacts, sleep, drive):
+    """Update the times for which circles have been still after Δt, wake islands and put islands to sleep, in place.
+
+    A fixed circle is still if it does not move at all. An island that touches a moving segment is awake. contacts: at
+    the bodies' positions. sleep: `SleepMemory`, or None if no circle may sleep. drive: `Drive` of the step, or None.
+    """
+    if sleep is None:
+        return
+    bodies, segments, scales = step.bodies, step.segments, step.scales
+    still, parent, shortest = sleep.still, sleep.parent, sleep.shortest
+    n = still.shape[0]
+    for i in range(n):
+        if still[i] < np.inf:
+            speed = math.hypot(bodies.velocity[i, 0], bodies.velocity[i, 1])
+            is_still = speed <= scales.sleep_speed and abs(bodies.spin[i]) <= scales.sleep_spin
+            if bodies.mass[i] == np.inf:
+                is_still = speed == 0.0 and bodies.spin[i] == 0.0
+            still[i] = still[i] + step.dt if is_still else 0.0
+    is_time = look_at_places(sleep, bodies.position, step.dt, scales)
+    unite(contacts.body_a, contacts.body_b, parent)
+    shortest[:] = np.inf
+    for i in range(n):
+        root = root_of(parent, i)
+        shortest[root] = min(shortest[root], still[i])
+    for k in range(contacts.body_a.shape[0]):
+        root = root_of(parent, contacts.body_a[k])
+        s = contacts.body_b[k] - n - 4
+        is_restless = contacts.separation[k] < -POSITION_TOLERANCE * scales.slop or (
+            s >= 0 and segments.line[s, 4] != 0.0
+        )
+        if drive is not None:
+            if s >= 0 and moves(drive.wall, s):
+                shortest[root] = 0.0
+        if is_restless and shortest[root] < np.inf:
+            shortest[root] = 0.0
+    for i in range(n):
+        time = shortest[root_of(parent, i)]
+        if time == np.inf:
+            continue
+        if is_time and time >= scales.sleep_time:
+            still[i] = np.inf
+            bodies.velocity[i, 0] = bodies.velocity[i, 1] = bodies.spin[i] = 0.0
+        elif still[i] == np.inf:
+            still[i] = 0.0

@@ -1,0 +1,72 @@
+"""Centres stay inside of the box and on their side of each segment, whatever the sweeps leave."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from deep_contact.compiled import njit
+from deep_contact.state.arrays import WALL_NORMALS
+from deep_contact.stepping.contacts import wall_gap
+from deep_contact.stepping.segments import hold_beside, hold_beside_moving, may_cross
+
+
+@njit(cache=True)
+def any_outside(position, box):
+    """Whether a centre lies outside of the box."""
+    x_min, y_min, x_max, y_max = box
+    outside = False
+    for i in range(position.shape[0]):
+        x, y = position[i, 0], position[i, 1]
+        # Without branches, so that the loop vectorises.
+        outside |= (x < x_min) | (x > x_max) | (y < y_min) | (y > y_max)
+    return outside
+
+
+@njit(cache=True)
+def hold_inside(bodies, walls, solved):
+    """Clamp centres that have left the box in this step to half a radius inside of it, in place: walls win.
+
+    A centre leaves the box only if it is pressed harder than the sweeps and position correction can withstand. solved:
+    contacts of the step. A centre that was outside of a wall before has a contact with it, which brings it back.
+    """
+    n = bodies.mass.shape[0]
+    was_outside = np.zeros((n, 4), np.bool_)
+    for k in range(solved.body_a.shape[0]):
+        a, b = solved.body_a[k], solved.body_b[k]
+        if n <= b < n + 4:
+            was_outside[a, b - n] = solved.separation[k] < -(bodies.radius[a] + walls.skin)
+    for i in range(n):
+        for wall in range(4):
+            gap = wall_gap(bodies.position[i, 0], bodies.position[i, 1], walls.box, wall)
+            if gap < 0.0 and not was_outside[i, wall] and bodies.mass[i] < math.inf:
+                back = gap - 0.5 * bodies.radius[i]
+                bodies.position[i, 0] += back * WALL_NORMALS[wall, 0]
+                bodies.position[i, 1] += back * WALL_NORMALS[wall, 1]
+
+
+@njit(cache=True)
+def hold(bodies, before, walls, segments, solved, drive, dt):
+    """Clamp centres to the inside of the box and to their side of segments, in place (`hold_inside`, `hold_beside`).
+
+    before: positions at the start of the substep, (n, 2), m; read only if there are segments (`positions_before`).
+    solved: contacts at those positions. drive: `Drive` of the substep, or None. dt: Δt of the substep, s.
+    Returns a circle over which a moving segment passes, or −1.
+    """
+    passed = np.int64(-1)
+    if any_outside(bodies.position, walls.box):
+        hold_inside(bodies, walls, solved)
+    if segments is not None:
+        if segments.line.shape[0] > 0 and may_cross(bodies, before, solved):
+            hold_beside(bodies, before, segments, drive)
+    if drive is not None:
+        # Resting bodies come last, so that they win over moving ones. `hold_beside` puts a centre between two points of
+        # the box, and so into the box.
+        changed, passed = hold_beside_moving(bodies, before, segments, solved, drive, dt)
+        if any_outside(bodies.position, walls.box):
+            hold_inside(bodies, walls, solved)
+            changed = True
+        if changed:
+            hold_beside(bodies, before, segments, drive)
+    return passed

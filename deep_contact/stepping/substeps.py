@@ -1,0 +1,184 @@
+"""The division of a step by motion, beyond the substeps that a solver asks for.
+
+Motion divides a step if a circle is about to hit something. With v the fastest approach that closes its gap within the
+Δt of the solver's substep, this substep is divided into the least power of two k with v Δt / k ≤ reach. A circle that
+hits then penetrates by no more than the reach before a contact stops it. v Δt / reach is a Courant number of motion.
+
+The choice depends on positions, velocities and Δt alone, so that a run that is read back goes on bit for bit; division
+by a power of two scales impulses exactly. Weakness: the fastest pair decides for the whole scene, and accelerations by
+contacts within the step are not foreseen.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from deep_contact.compiled import njit
+from deep_contact.state.arrays import WALL_NORMALS
+from deep_contact.stepping.broad_phase import circles_around, refresh_list, sort_into_cells, sum_of
+from deep_contact.stepping.contacts import wall_gap
+from deep_contact.stepping.context import part_of
+from deep_contact.stepping.segment_grid import is_free, near_box, segment_gap
+from deep_contact.stepping.segments import wall_velocity
+
+
+@njit(inline="always")
+def part_by_motion(step, part, cells, drive):
+    """Input of the substeps into which motion divides the solver's next substep; `part` itself if nothing changes."""
+    parts = parts_of(step, cells, drive)
+    return part if parts * step.parts == part.parts else part_of(step, step.segments, parts)
+
+
+@njit(inline="always")
+def fly_on(step, part, contacts, change, drive, shifts):
+    """Adapt circles in flight to another Δt (`shift_flights`), if motion divides the solver's substep.
+
+    step: `StepInput` of the solver's substep. part: `StepInput` after the division. change: decrease of Δt, s. shifts:
+    of `StepLog`.
+    """
+    if part.parts > step.parts and step.restitution > 0.0:
+        shift_flights(step.bodies, contacts, step.gravity, change, drive, shifts)
+
+
+@njit(cache=True, error_model="numpy")
+def parts_of(step, cells, drive):
+    """Number of substeps into which motion divides the solver's next substep: a power of two.
+
+    step: `StepInput`. cells: `Cells`, overwritten. drive: `Drive` of the step, or None.
+    """
+    motion = step.motion
+    if motion.most == 1 or step.bodies.mass.shape[0] == 0:
+        return 1
+    dt, slow = step.dt, motion.reach / step.dt
+    pairs, walls = fastest_possible(step.bodies.velocity, step.gravity, dt)
+    fastest = slow
+    if walls + fastest_wall(drive) > slow:
+        fastest = fastest_onto_walls(step, fastest, drive)
+    if pairs > slow and fastest * dt <= 0.5 * motion.most * motion.reach:  # otherwise the limit is reached
+        fastest = fastest_pair(step, cells, pairs * dt, fastest)
+    parts = 1
+    while parts < motion.most and fastest * dt > parts * motion.reach:
+        parts *= 2
+    return parts
+
+
+@njit(cache=True, fastmath={"nnan", "nsz"})
+def fastest_possible(velocity, gravity, dt):
+    """(pairs, walls): upper bounds on the approach of two circles, and of a circle to resting bodies, within Δt, m/s.
+
+    velocity: (n, 2), m/s.
+    """
+    x_min = x_max = velocity[0, 0]
+    y_min = y_max = velocity[0, 1]
+    for i in range(velocity.shape[0]):
+        x, y = velocity[i, 0], velocity[i, 1]
+        x_min, x_max, y_min, y_max = min(x_min, x), max(x_max, x), min(y_min, y), max(y_max, y)
+    x, y = max(-x_min, x_max) + dt * abs(gravity[0]), max(-y_min, y_max) + dt * abs(gravity[1])
+    return math.hypot(x_max - x_min, y_max - y_min), math.hypot(x, y)
+
+
+@njit(cache=True)
+def fastest_wall(drive):
+    """The speed of the fastest end of a moving segment, m/s; 0 without one."""
+    speed = 0.0
+    if drive is not None:
+        for s in drive.moving:
+            for end in (0, 2):
+                speed = max(speed, math.hypot(drive.wall[s, end], drive.wall[s, end + 1]))
+    return speed
+
+
+@njit(cache=True, error_model="numpy")
+def fastest_onto_walls(step, fastest, drive):
+    """The fastest approach that closes a gap between circle and wall or segment within Δt, m/s; at least `fastest`."""
+    bodies, box, segments, dt, skin = step.bodies, step.box, step.segments, step.dt, step.scales.wall_skin
+    buffer, start, grid, speed = np.empty_like(segments.every), segments.start, segments.grid, fastest_wall(drive)
+    for i in range(bodies.mass.shape[0]):
+        v_x, v_y = bodies.velocity[i, 0] + dt * step.gravity[0], bodies.velocity[i, 1] + dt * step.gravity[1]
+        if speed == 0.0 and v_x * v_x + v_y * v_y <= fastest * fastest:
+            continue
+        if bodies.mass[i] == math.inf:
+            continue
+        x, y, reach = bodies.position[i, 0], bodies.position[i, 1], bodies.radius[i] + skin
+        for wall in range(4):
+            approach = v_x * WALL_NORMALS[wall, 0] + v_y * WALL_NORMALS[wall, 1]
+            if approach > fastest and wall_gap(x, y, box, wall) - reach < approach * dt:
+                fastest = approach
+        # A segment whose gap closes within Δt lies within reach of the places to which the circle can come.
+        far = dt * (math.sqrt(v_x * v_x + v_y * v_y) + speed)
+        if is_free(start, grid, x - far, x + far, y - far, y + far):
+            continue
+        for s in near_box(segments, x - far, x + far, y - far, y + far, buffer):
+            gap, n_x, n_y = segment_gap(segments.line[s], x, y)
+            approach = v_x * n_x + v_y * n_y
+            if drive is not None:
+                w_x, w_y = wall_velocity(segments.line, drive.wall, s, x, y)
+                approach -= w_x * n_x + w_y * n_y
+            if approach > fastest and gap - reach < approach * dt:
+                fastest = approach
+    return fastest
+
+
+@njit(cache=True, error_model="numpy")
+def fastest_pair(step, cells, gap, fastest):
+    """The fastest approach that closes the gap of two circles within Δt, m/s; at least `fastest`.
+
+    gap: m; circles that are farther apart do not meet within Δt. The pairs come from the list of near pairs, if it
+    covers this gap or pays to be made, and otherwise from a search.
+    """
+    position, radius = step.bodies.position, step.bodies.radius
+    if refresh_list(position, radius, cells, gap):
+        for a in range(position.shape[0]):
+            fastest = fastest_of(step, a, cells.near, cells.first[a], cells.first[a + 1], fastest)
+    elif math.isfinite(sum_of(position)):
+        levels = sort_into_cells(position, radius, gap, cells)
+        for a in range(position.shape[0]):
+            m = circles_around(a, position, radius[a] + gap, levels, cells, cells.near, np.int64(0))
+            fastest = fastest_of(step, a, cells.near, np.int64(0), m, fastest)
+    return fastest
+
+
+@njit(cache=True, error_model="numpy")
+def fastest_of(step, a, near, first, last, fastest):
+    """`fastest_pair` for circle a and the circles near[first:last]."""
+    position, velocity, radius, dt = step.bodies.position, step.bodies.velocity, step.bodies.radius, step.dt
+    x, y, v_x, v_y, r = position[a, 0], position[a, 1], velocity[a, 0], velocity[a, 1], radius[a]
+    for k in range(first, last):
+        b = near[k]
+        d_x, d_y = position[b, 0] - x, position[b, 1] - y
+        # Approach times distance, so that few pairs need a root.
+        closing = (v_x - velocity[b, 0]) * d_x + (v_y - velocity[b, 1]) * d_y
+        square = d_x * d_x + d_y * d_y
+        if closing > 0.0 and closing * closing > fastest * fastest * square:
+            distance = math.sqrt(square)
+            if distance - r - radius[b] < closing / distance * dt:
+                fastest = closing / distance
+    return fastest
+
+
+@njit(cache=True)
+def shift_flights(bodies, contacts, gravity, change, drive, shifts):
+    """Shift the velocities of circles in flight, in place, so that their flight goes on although Δt changes.
+
+    Symplectic Euler is a leapfrog: velocities are those of half a step before. Each bounce is divided on the way down
+    and not on the way up, and without the shift it would change the energy. A circle on which a contact pushes is not
+    shifted, since it has to keep v = 0; a contact without an impulse has just begun, or is ending.
+    change: decrease of Δt, s. The changes of momentum are added to shifts, (n, 2), N·s, if these are logged.
+    """
+    n = bodies.mass.shape[0]
+    held = np.zeros(n + 1, np.bool_)
+    for i in range(contacts.body_a.shape[0]):
+        if contacts.normal_impulse[i] > 0.0:
+            held[contacts.body_a[i]] = held[min(contacts.body_b[i], n)] = True
+    for i in range(n):
+        if held[i] or bodies.mass[i] == math.inf:
+            continue
+        for axis in range(2):
+            shift = 0.5 * change * gravity[axis]
+            if drive is not None:
+                shift += 0.5 * change * drive.force[i, axis] / bodies.mass[i]
+            bodies.velocity[i, axis] += shift
+            if shifts.shape[0] > 0:
+                shifts[i, axis] += bodies.mass[i] * shift

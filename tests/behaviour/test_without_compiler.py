@@ -1,0 +1,18 @@
+"""The physics as plain Python, with Numba's compiler switched off, gives the golden runs: debuggers, coverage and
+mutation testing rely on it."""
+
+import pytest
+from conftest import TOOLS, run_python
+
+from deep_contact.solvers import METHODS
+
+RUNS = {
+    "solvers": [f"pile, {name}" for name in (*METHODS, "two ω", "motion")],
+    "what scenes have": ["frictionless, PGS", "elastic, PGS", "terrain, PGS", "fast, PGS", "drum, islands"],
+    "starts and sleep": ["row, PGS, sleep", *(f"start, {name}" for name in ("none", "copy", "scaled", "sph"))],
+}
+
+
+@pytest.mark.parametrize("kind", RUNS)
+def test_interpreted_functions_compute_what_the_compiled_ones_do(kind):
+    run_python(TOOLS / "golden.py", *RUNS[kind], environment={"NUMBA_DISABLE_JIT": "1"})

@@ -1,0 +1,334 @@
+"""A scene that lives: its bits are those of runs, and nothing that happens between two steps is lost."""
+
+import pickle
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import circles_at
+
+import deep_contact as dc
+from deep_contact.compiled.direct import OFTEN, Direct
+from deep_contact.starts.changed_load import with_time_step
+from deep_contact.stepping.log import FINITE
+
+WAYS = {
+    "fast": ({}, {"accuracy": "fast"}),
+    "no start": ({}, {"solver": dc.PGS(sweeps=8), "warm_start": None}),
+    "support": ({}, {"solver": dc.PGS(sweeps=8), "warm_start": "support"}),
+    "asleep": ({}, {"solver": dc.PGS(sweeps=8), "sleep": True}),
+    "frictionless": ({"friction": 0.0}, {"solver": dc.PGS(sweeps=8)}),
+    "rebounds": ({"restitution": 0.5}, {"solver": dc.PGS(sweeps=8, substeps=2, most_substeps=8)}),
+    "batches": ({}, {"solver": dc.BatchedPGS(sweeps=8, substeps=3)}),
+}
+
+
+@pytest.fixture
+def pile():
+    """Circles that fall onto one another, and the options of a run."""
+    return dc.column(4, friction=0.4), {"solver": dc.PGS(sweeps=8)}
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_step_by_step_in_parts_and_in_one_call_are_the_same_bits(way):
+    world, how = WAYS[way]
+    scene = dc.lattice_in_box(12, seed=1, **world)
+    scene = scene.replace(bodies=scene.bodies._replace(velocity=np.full((12, 2), [3.0, -12.0])))
+    whole = dc.simulate(scene, steps=60, **how)
+    assert whole.contacts.max() > 8
+    for parts in ([1] * 60, [7, 0, 13, 40], [60]):
+        run = dc.Simulator(scene, **how)
+        for steps in parts:
+            run.step(steps)
+        assert run.state == whole.state
+        assert run.time == whole.state.time
+
+
+@pytest.mark.parametrize("how", [{}, {"accuracy": "fast"}])
+def test_a_preset_decides_anew_for_other_circles(how):
+    """The default does so, too: an empty cup that is filled is no empty cup any more."""
+    run = dc.Simulator(dc.column(1), **how)
+    run.add(dc.make_bodies([[4.0, 5.0], [8.0, 5.0]], velocity=[0.0, -100.0]))
+    assert run.state.solver == dc.simulate(run.state.replace(solver=None), steps=0, **how).state.solver
+    assert run.state.solver != dc.simulate(dc.column(1), steps=0, **how).state.solver
+    kept = dc.Simulator(dc.column(1).replace(solver=dc.PGS(sweeps=7)))
+    kept.set(friction=0.1)
+    assert kept.state.solver == dc.simulate(dc.column(1), steps=0, solver=dc.PGS(sweeps=7)).state.solver
+
+
+def test_views_follow_the_steps_and_states_have_arrays_of_their_own(pile):
+    run = dc.Simulator(pile[0], **pile[1])
+    positions, before = run.positions, run.state
+    run.step(20)
+    assert positions is run.positions
+    np.testing.assert_array_equal(positions, run.state.bodies.position)
+    np.testing.assert_array_equal(run.velocities, run.state.bodies.velocity)
+    assert before == pile[0].replace(contacts=before.contacts, solver=before.solver)
+    for view in (run.positions, run.velocities):
+        with pytest.raises(ValueError, match="read-only"):
+            view[:] = 0.0
+    kept = run.state
+    kept.bodies.velocity[:] = kept.contacts.normal_start[:] = 1e3
+    run.step(5)
+    assert run.state == dc.simulate(*pile[:1], steps=25, **pile[1]).state
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"gravity": (3.0, -5.0)}, {"friction": 0.1}, {"restitution": 0.5}, {"gravity": (0.0, 9.81), "friction": 0}],
+)
+def test_what_is_set_holds_from_there_on(changes, pile):
+    run = dc.Simulator(pile[0], **pile[1])
+    run.step(40)
+    state = run.state
+    run.set(**changes)
+    run.step(10)
+    world = dc.World(**{name: getattr(state.world, name) for name in ("box", "gravity", "friction")} | changes)
+    assert run.state == dc.simulate(state.replace(world=world), steps=10, **pile[1]).state
+    with pytest.raises(ValueError, match="friction: expected"):
+        run.set(friction=-1.0)
+    assert run.state.world == world
+
+
+def test_the_time_step_can_be_set_and_scales_what_is_carried(pile):
+    run = dc.Simulator(pile[0], **pile[1])
+    run.step(40)
+    state = run.state
+    run.set(dt=0.004)
+    run.step(10)
+    assert run.state == dc.simulate(with_time_step(state, 0.004), steps=10, **pile[1]).state
+
+
+def test_segments_can_be_set_and_those_that_stay_keep_their_impulses():
+    shelf, bar = ((0.0, 5.0), (30.0, 5.0)), ((0.0, 20.0), (30.0, 20.0))
+    scene = circles_at([[5.0, 6.0], [5.0, 21.0]], segments=[shelf, bar])
+    run = dc.Simulator(scene, solver=dc.PGS(sweeps=8))
+    run.step(5)
+    carried = run.state.contacts.normal_start[0]
+    run.set(segments=[shelf])
+    assert run.state.contacts.normal_start.tolist() == [carried]
+    run.step(20)
+    assert run.positions[0, 1] == pytest.approx(6.0, abs=0.02)
+    assert run.positions[1, 1] < 20.8
+
+
+LINES = [((1.0, 1.0), (9.0, 1.0)), ((11.0, 1.0), (19.0, 2.0))]
+SETS = {
+    "gravity": {"gravity": (1.0, -5.0)},
+    "friction": {"friction": 0.1},
+    "restitution": {"restitution": 0.8},
+    "segments that are elsewhere": {"segments": [((1.0, 0.9), (9.0, 0.9)), LINES[1]]},
+    "one segment less": {"segments": LINES[:1]},
+    "one segment more": {"segments": [*LINES, ((5.0, 9.0), (6.0, 9.0))]},
+    "velocities": {"segment_velocities": [((0.0, 0.5), (0.0, 0.2)), ((0.0, 0.0), (0.0, 0.0))]},
+    "segments and velocities": {"segments": LINES[:1], "segment_velocities": [((0.0, 0.5), (0.0, -0.3))]},
+    "no velocities": {"segment_velocities": []},
+}
+
+
+@pytest.mark.filterwarnings("ignore:segments")
+@pytest.mark.parametrize("start", ["belts", "moving"])
+@pytest.mark.parametrize("name", SETS)
+def test_a_world_of_which_a_field_is_set_keeps_the_others(name, start):
+    """But for velocities and surface speeds where other segments come: they do not fit them."""
+    own = {
+        "belts": {"surface_speeds": (3.0, 0.0)},
+        "moving": {"surface_speeds": (3.0, -1.0), "segment_velocities": [((0.0, 0.1), (0.0, 0.1)), ((0, 0), (0, 0))]},
+    }[start]
+    world = dc.World(gravity=(0.5, -9.0), friction=0.4, restitution=0.3, segments=LINES, scales=dc.BOX2D, **own)
+    scene = dc.State(name="set", world=world, bodies=dc.make_bodies([[5.0, 1.4], [15.0, 2.0]], radius=0.4))
+    run = dc.Simulator(scene, solver=dc.PGS(sweeps=8))
+    run.step(5)
+    before = run.state
+    run.set(**SETS[name])
+    expected = vars(before.world) | SETS[name]
+    if len(expected["segments"]) != 2:
+        expected["surface_speeds"] = ()
+        if "segment_velocities" not in SETS[name]:
+            expected["segment_velocities"] = ()
+    fields = dc.World.__dataclass_fields__
+    assert run.state.world == dc.World(**{field: expected[field] for field in fields})
+    assert (run.state.dt, run.state.step, run.state.bodies) == (before.dt, before.step, before.bodies)
+    run.step(3)
+    assert run.state.world.surface_speeds == dc.World(**{field: expected[field] for field in fields}).surface_speeds
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize("end", range(4))
+def test_a_wall_that_becomes_fast_is_divided_whichever_of_its_ends_moves_and_whereto(end, sign):
+    """A preset chose the substeps for a slower wall; velocities up to that are set in place."""
+    velocity = np.zeros(4)
+    velocity[end] = 0.1
+    world = dc.World(box=(-9.0, -9.0, 9.0, 9.0), segments=[((0, -2), (0, 2))], segment_velocities=[velocity])
+    scene = dc.State(name="wall", world=world, bodies=dc.make_bodies([[0.5, 0.0]], radius=0.1))
+    run = dc.Simulator(scene, accuracy="fast")
+    slow, inputs = run.state.solver.substeps, run._inputs
+    run.set(segment_velocities=[-velocity])
+    assert run._inputs is inputs
+    run.set(segment_velocities=[sign * 400.0 * velocity])
+    assert run.state.solver.substeps > slow
+    assert run.state.world.segment_velocities == (tuple(sign * 400.0 * velocity),)
+
+
+def test_time_goes_on_by_each_step_of_its_own():
+    run = dc.Simulator(dc.column(2), solver=dc.PGS(sweeps=8))
+    run.step(10)
+    run.set(dt=0.02)
+    run.step(5)
+    assert run.time == run.state.time == pytest.approx(0.2)
+    run.set(dt=0.004)
+    run.step(5)
+    assert run.time == pytest.approx(0.22)
+    assert dc.simulate(run.state, steps=5, dt=0.01).state.time == pytest.approx(0.27)
+    late = dc.simulate(dc.column(2).replace(time=3.0), steps=7, solver=dc.PGS(sweeps=8)).state
+    assert (late.time, late.step) == (pytest.approx(3.07), 7)
+
+
+def test_a_push_ends_where_its_caller_drops_it_and_another_takes_its_place():
+    """m Δv = F Δt of a ball in flight, whatever call or set comes between."""
+    scene = circles_at([[5.0, 50.0]], radius=0.5, box=(-99, 0, 99, 99), gravity=(0, 0)).replace(solver=dc.PGS(sweeps=8))
+    east, north = np.array([[3.0, 0.0]]), np.array([[0.0, 2.0]])
+    mass, gained = scene.bodies.mass[0], np.zeros(2)
+    state = scene
+    for push, force in ((east, east), (None, 0 * east), (lambda state: north, north), (None, 0 * east), (east, east)):
+        state = dc.simulate(state, steps=10, push=push).state
+        gained = gained + 0.1 * np.ravel(force)
+        np.testing.assert_allclose(mass * state.bodies.velocity[0], gained, atol=1e-12)
+        assert (state.push is None) == (push is None or callable(push))
+    run, gained = dc.Simulator(scene, push=east), np.zeros(2)
+    for change, force in (
+        ({}, east),
+        ({"push": north}, north),
+        ({"gravity": (0.0, 0.0)}, north),
+        ({"push": 0 * east}, 0 * east),
+    ):
+        run.set(**change)
+        run.step(10)
+        gained = gained + 0.1 * np.ravel(force)
+        np.testing.assert_allclose(mass * run.velocities[0], gained, atol=1e-12)
+
+
+def test_circles_come_and_go(pile):
+    run, more = dc.Simulator(pile[0], **pile[1]), dc.make_bodies([[8.0, 9.0], [22.0, 9.0]], radius=0.5)
+    run.step(40)
+    state = run.state.with_bodies(add=more).with_bodies(remove=[0])
+    run.add(more)
+    run.remove([0])
+    assert run.positions.shape == (5, 2)
+    run.step(10)
+    assert run.state == dc.simulate(state, steps=10, **pile[1]).state
+
+
+def test_it_pickles_by_its_state(pile):
+    run = dc.Simulator(pile[0], **pile[1])
+    run.step(30)
+    again = pickle.loads(pickle.dumps(run))
+    for one in (run, again):
+        one.step(10)
+    assert again.state == run.state
+
+
+def test_a_start_that_fails_leaves_the_last_whole_step(pile):
+    def start(state, solver):
+        if state.step == 30 and not failed:
+            failed.append(state.step)
+            raise RuntimeError("no start")
+        return np.zeros(state.contacts.count), np.zeros(state.contacts.count)
+
+    failed: list = []
+    run = dc.Simulator(pile[0], **pile[1], warm_start=start)
+    with pytest.raises(RuntimeError, match="no start"):
+        run.step(50)
+    assert run.state.step == 30
+    run.step(20)
+    assert run.state == dc.simulate(pile[0], steps=50, **pile[1], warm_start=start).state
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, FloatingPointError])
+@pytest.mark.parametrize("way", ["fast", "asleep", "rebounds", "batches"])
+def test_a_step_that_is_interrupted_or_diverges_leaves_the_last_whole_step(way, error, monkeypatch):
+    world, how = WAYS[way]
+    # Two discs that rub on a slope, beside two that come to rest on one another.
+    centres, slope = [[4.0, 4.3], [6.2, 3.8], [12.0, 1.0], [12.0, 3.0]], [((0.0, 4.5), (10.0, 0.0))]
+    scene = circles_at(centres, **{"friction": 0.6, "segments": slope} | world)
+    run = dc.Simulator(scene, **how)
+    run.step(45)
+    before, steps = run.state, run._steps
+    still = steps.sleep and steps.sleep.still.copy()
+    assert way == "rebounds" or np.abs(before.contacts.tangent_impulse).max() > 1e-3
+
+    def broken(*arguments):
+        """Steps that are done, and then lost."""
+        result = type(steps).__call__(steps, *arguments)
+        if error is KeyboardInterrupt:
+            raise error
+        run._scene.bodies.position[1], arguments[2].progress[FINITE] = np.nan, False
+        return result
+
+    broken.sleep = steps.sleep
+    monkeypatch.setattr(run, "_steps", broken)
+    with pytest.raises(error):
+        run.step(20)  # in which the two that rest have been still for long enough
+    monkeypatch.setattr(run, "_steps", steps)
+    assert run.state == before
+    if steps.sleep:
+        np.testing.assert_array_equal(steps.sleep.still, still)
+    run.step(15)
+    assert run.state == dc.simulate(scene, steps=60, **how).state
+
+
+def test_a_run_that_is_interrupted_falls_asleep_as_one_that_is_not(monkeypatch):
+    scene, how = dc.column(3, friction=0.4), WAYS["asleep"][1]
+    run = dc.Simulator(scene, **how)
+    run.step(45)
+    steps = run._steps
+
+    def broken(*arguments):
+        type(steps).__call__(steps, *arguments)
+        raise KeyboardInterrupt
+
+    broken.sleep = steps.sleep
+    monkeypatch.setattr(run, "_steps", broken)
+    with pytest.raises(KeyboardInterrupt):
+        run.step(30)
+    monkeypatch.setattr(run, "_steps", steps)
+    whole = dc.Simulator(scene, **how)
+    whole.step(45)
+    for _ in range(80):
+        run.step()
+        whole.step()
+        np.testing.assert_array_equal(steps.sleep.still, whole._steps.sleep.still)
+
+
+def test_a_step_takes_few_calls_of_python(pile):
+    # Some hundred, with states and types made anew, are what a step of ten circles took twenty times as long by.
+    run, calls = dc.Simulator(pile[0], **pile[1]), []
+    for _ in range(OFTEN + 1):  # until types are known
+        run.step()
+    sys.setprofile(lambda frame, event, argument: calls.append(event) if event == "call" else None)
+    try:
+        run.step()
+    finally:
+        sys.setprofile(None)
+    assert len(calls) < 25
+
+
+def test_types_are_looked_at_once_and_only_of_what_is_called_often():
+    # It takes longer than all else of `dc.step`, whose functions are called once.
+    class Function:
+        looks, overloads = 0, {("int",): SimpleNamespace(entry_point=lambda x: -x)}
+
+        def __call__(self, x):
+            return x
+
+        def typeof_pyval(self, x):
+            self.looks += 1
+            return type(x).__name__
+
+    function = Function()
+    direct = Direct(function)
+    assert [direct(k) for k in range(OFTEN - 1)] == list(range(OFTEN - 1))
+    assert function.looks == 0
+    assert [direct(3), direct(4), direct(5)] == [3, -4, -5]
+    assert function.looks == 1

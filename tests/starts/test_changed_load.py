@@ -1,0 +1,225 @@
+"""A load that changes: impulses that were solved for another load must not become velocity."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from conftest import circles_at
+
+import deep_contact as dc
+from deep_contact.starts import changed_load as load_module
+from deep_contact.starts.changed_load import load_of, with_time_step
+
+PRESETS = "preview", "fast", "balanced", "accurate", "reference"
+
+
+def world_of(state, **changes):
+    return state.replace(world=replace(state.world, **changes))
+
+
+def bodies_of(state, **changes):
+    return state.replace(bodies=state.bodies._replace(**changes))
+
+
+def lighter(state):
+    mass = state.bodies.mass.copy()
+    mass[:10] /= 20.0
+    return bodies_of(state, mass=mass)
+
+
+def shaken(state):
+    chance = np.random.default_rng(5).uniform(-1e-3, 1e-3, state.bodies.position.shape)
+    return bodies_of(state, position=state.bodies.position + chance)
+
+
+CHANGES = {
+    "gravity off": lambda state: world_of(state, gravity=(0.0, 0.0)),
+    "gravity turned": lambda state: world_of(state, gravity=(9.81, 0.0)),
+    "gravity halved": lambda state: world_of(state, gravity=(0.0, -4.905)),
+    "removed": lambda state: state.with_bodies(remove=[int(state.bodies.position[:, 1].argmax()), 3]),
+    "added": lambda state: state.with_bodies(add=dc.make_bodies([[6.0, 30.0]], density=50.0)),
+    "lighter": lighter,
+    "no friction": lambda state: world_of(state, friction=0.0),
+    "floor lowered": lambda state: world_of(state, box=(0.0, -0.5, 12.0, 40.0)),
+    "shorter step": lambda state: state.replace(dt=0.05 * state.dt),
+    "longer step": lambda state: state.replace(dt=20.0 * state.dt),
+    "moved": shaken,
+}
+
+
+@pytest.fixture(scope="module")
+def settled():
+    scene = dc.circles_in_box(40, size=(12.0, 40.0), seed=3)
+    return {preset: dc.simulate(scene, steps=1000, accuracy=preset).state for preset in PRESETS}
+
+
+LINES = [((0.0, 1.0), (9.0, 1.0)), ((20.0, 0.0), (20.0, 9.0))]
+
+
+def laden():
+    """Two circles beside a belt, under a push."""
+    world = dc.World(segments=LINES, surface_speeds=(1.0, 0.0), friction=0.5, restitution=0.2, scales=dc.BOX2D)
+    bodies = dc.make_bodies([[5.0, 2.0], [7.5, 2.0]], velocity=[[1.0, 0.0], [0.0, 2.0]], spin=[0.0, 1.0])
+    return dc.State(name="laden", world=world, bodies=bodies, push=(np.ones((2, 2)), np.ones(2)))
+
+
+def other(values):
+    """The same numbers but for the last."""
+    values = values.copy()
+    values.flat[-1] += 0.5
+    return values
+
+
+LOADS = {
+    "box": lambda s: world_of(s, box=(0.0, 0.0, 30.0, 31.0)),
+    "gravity": lambda s: world_of(s, gravity=(0.0, -9.8)),
+    "friction": lambda s: world_of(s, friction=0.6),
+    "restitution": lambda s: world_of(s, restitution=0.3),
+    "segments": lambda s: world_of(s, segments=[LINES[0], ((20.0, 0.0), (20.0, 9.5))]),
+    "surface_speeds": lambda s: world_of(s, surface_speeds=(5.0, 0.0)),
+    "no belt": lambda s: world_of(s, surface_speeds=()),
+    "scales": lambda s: world_of(s, scales=dc.BOX2D._replace(slop=0.004)),
+    "dt": lambda s: s.replace(dt=0.02),
+    "position": lambda s: bodies_of(s, position=other(s.bodies.position)),
+    "mass": lambda s: bodies_of(s, mass=other(s.bodies.mass)),
+    "radius": lambda s: bodies_of(s, radius=other(s.bodies.radius)),
+    "force": lambda s: s.replace(push=(other(s.push[0]), s.push[1])),
+    "torque": lambda s: s.replace(push=(s.push[0], other(s.push[1]))),
+    "no push": lambda s: s.replace(push=None),
+}
+"""Of what impulses are solved for -> a state with another."""
+MOTIONS = {
+    "velocity": lambda s: bodies_of(s, velocity=other(s.bodies.velocity)),
+    "spin": lambda s: bodies_of(s, spin=other(s.bodies.spin)),
+}
+
+
+def test_a_load_is_of_all_that_impulses_are_solved_for_and_of_nothing_else():
+    state = laden()
+    load, motion = load_of(state)
+    for name, change in LOADS.items():
+        assert load_of(change(state))[0] != load, name
+        assert load_of(change(state))[1] == motion, name
+    for name, change in MOTIONS.items():
+        assert load_of(change(state))[0] == load, name
+        assert load_of(change(state))[1] != motion, name
+    same = bodies_of(laden(), angle=np.array([1.0, 2.0])).replace(time=3.0, step=7, name="another")
+    assert load_of(same) == (load, motion)
+    smooth = world_of(state, friction=0.0)  # a belt drags nothing then
+    assert load_of(world_of(smooth, surface_speeds=(5.0, 0.0))) == load_of(smooth)
+    known = state.replace(load=(load, motion))
+    assert not load_module.has_new_load(known)
+    assert not load_module.has_new_load(MOTIONS["spin"](known))
+    assert load_module.has_new_load(LOADS["surface_speeds"](known))
+    assert not load_module.has_new_load(LOADS["gravity"](state))  # of which nothing is known
+
+
+@pytest.mark.parametrize("accuracy", PRESETS)
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_new_load_makes_no_more_speed_than_where_nothing_was_carried(settled, change, accuracy):
+    state = CHANGES[change](settled[accuracy])
+    forgotten = state.replace(contacts=None)
+    speed = [
+        np.hypot(*dc.simulate(one, steps=1, accuracy=accuracy).state.bodies.velocity.T) for one in (state, forgotten)
+    ]
+    assert speed[0].max() <= speed[1].max() + 0.02
+
+
+@pytest.mark.parametrize("accuracy", ["fast", "reference"])
+def test_a_pile_without_gravity_stays_where_it_is(settled, accuracy):
+    state = CHANGES["gravity off"](settled[accuracy])
+    after = dc.simulate(state, steps=100, accuracy=accuracy).state
+    assert np.abs(after.bodies.position - state.bodies.position).max() < 0.01
+
+
+def test_a_column_stays_when_its_heavy_top_is_taken_off():
+    scene = dc.column(5)
+    mass = scene.bodies.mass * [1, 1, 1, 1, 50]
+    state = dc.simulate(bodies_of(scene, mass=mass), steps=300, solver=dc.PGS(sweeps=300)).state
+    after = dc.simulate(state.with_bodies(remove=[4]), steps=60, solver=dc.PGS())
+    assert np.abs(after.state.bodies.velocity).max() < 1e-3
+
+
+def test_steps_that_change_all_the_time_leave_a_pile_at_rest(settled):
+    state = start = settled["fast"]
+    for k in range(40):
+        state = dc.simulate(state, steps=1, dt=(0.0005, 0.01)[k % 2]).state
+    assert np.abs(state.bodies.velocity).max() < 0.01
+    assert np.abs(state.bodies.position - start.bodies.position).max() < 1e-3
+
+
+@pytest.mark.parametrize(("steps", "dt", "substeps"), [(2, 0.005, 1), (1, 0.01, 2)])
+def test_a_bounce_keeps_its_height_whatever_the_caller_does_to_the_step(steps, dt, substeps):
+    """On its way down the ball gets shorter steps, or more substeps."""
+    scene = dc.State(
+        name="ball", world=dc.World(restitution=1.0, friction=0.0), bodies=dc.make_bodies([[5.0, 3.0]], radius=0.5)
+    )
+    state, highest = scene, []
+    for _ in range(1000):
+        falls = state.bodies.velocity[0, 1] < 0.0
+        how = {"steps": steps, "dt": dt, "solver": dc.PGS(substeps=substeps)} if falls else {"steps": 1, "dt": 0.01}
+        state = dc.simulate(state, **{"solver": dc.PGS(), **how}).state
+        highest.append(state.bodies.position[0, 1])
+    assert max(highest[-200:]) == pytest.approx(3.0, rel=0.01)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.5])
+def test_what_flies_has_the_velocity_of_half_a_step_earlier_and_gets_that_of_another_step(e):
+    """v(t − Δt / 2) of the leapfrog, under gravity and a push, where e > 0; what touches and what is fixed stays."""
+    circles = [[5.0, 5.0], [9.0, 1.0], [14.0, 5.0]]
+    scene = circles_at(circles, velocity=[[1.0, 2.0], [0, 0], [0, 0]], fixed=[False, False, True], restitution=e)
+    push = np.array([[3.0, 1.0], [0.0, -1.0], [5.0, 5.0]])
+    state = dc.simulate(scene, steps=3, solver=dc.PGS(substeps=2), push=push).state
+    gained = (np.array([0.0, -9.81]) + push[0] / scene.bodies.mass[0]) * 0.5 * (e > 0.0)
+    for dt in (0.002, 0.03):
+        after = with_time_step(state, dt).bodies.velocity - state.bodies.velocity
+        np.testing.assert_allclose(after, [gained * (0.01 - dt) / 2, [0, 0], [0, 0]], rtol=1e-9, atol=1e-12)
+    again = dc.simulate(state, steps=0, solver=dc.PGS(substeps=8), push=push).state.bodies.velocity[0]
+    np.testing.assert_allclose(again - state.bodies.velocity[0], gained * (0.01 / 2 - 0.01 / 8), rtol=1e-9, atol=1e-12)
+    assert with_time_step(state, 0.01) is state
+    early = with_time_step(dc.find_contacts(scene), 0.002)
+    np.testing.assert_array_equal(early.bodies.velocity, scene.bodies.velocity)
+
+
+def test_impulses_of_a_solved_state_are_kept_and_its_starts_are_scaled():
+    state = dc.simulate(dc.column(2), steps=5, solver=dc.PGS()).state
+    starts = state.contacts.normal_start
+    unsolved, solved = (with_time_step(state.replace(solved=is_so), 0.03).contacts for is_so in (False, True))
+    for contacts in (unsolved, solved):
+        np.testing.assert_allclose(contacts.normal_start, 3.0 * starts)
+        assert contacts.position is state.contacts.position
+    np.testing.assert_allclose(unsolved.normal_impulse, 3.0 * state.contacts.normal_impulse)
+    assert solved.normal_impulse is state.contacts.normal_impulse
+
+
+@pytest.mark.parametrize("accuracy", [None, "accurate"])
+def test_a_run_that_nothing_disturbs_knows_its_load_and_keeps_its_bits(settled, accuracy):
+    state = dc.simulate(dc.circles_in_box(30, seed=1), steps=40, accuracy=accuracy).state
+    assert state.load == load_of(state)
+    parts = dc.simulate(dc.simulate(state, steps=20, accuracy=accuracy).state, steps=20, accuracy=accuracy).state
+    assert parts == dc.simulate(state, steps=40, accuracy=accuracy).state
+
+
+def test_a_gas_that_goes_on_is_divided_as_it_was():
+    """Its fastest circle decides on substeps, and changes."""
+    rng = np.random.default_rng(3)
+    scene = dc.circles_in_box(20, size=20.0, seed=1, gravity=(0.0, 0.0), restitution=0.5)
+    scene = bodies_of(scene, velocity=rng.uniform(-40.0, 40.0, (20, 2)))
+    whole = dc.simulate(scene, steps=60, accuracy="fast").state
+    parts = dc.simulate(dc.simulate(scene, steps=30, accuracy="fast").state, steps=30, accuracy="fast").state
+    assert parts == whole
+
+
+@pytest.mark.parametrize(
+    ("speed", "left", "relaxed", "solved"),
+    [(0.13, 0.0019, 1, 0), (0.13, 0.0021, 1, 1), (0.15, 0.0, 0, 1)],  # a step of gravity is 0.098 m/s
+)
+def test_what_moves_or_does_not_rest_is_solved_well(speed, left, relaxed, solved, monkeypatch):
+    state, called = circles_at([[5.0, 5.0]], velocity=[[speed, 0.0]]), {"at_rest": [], "solve": []}
+    solution = SimpleNamespace(normal_impulses="n", tangent_impulses="t")
+    monkeypatch.setattr(load_module, "at_rest", lambda *start, **how: called["at_rest"].append(how) or ("n", "t", left))
+    monkeypatch.setattr(load_module, "solve", lambda state, solver, *start: called["solve"].append(solver) or solution)
+    load_module._good(state, None, None, None, None)
+    assert called["at_rest"] == [{"iterations": 2000, "speed": pytest.approx(1e-4 * 0.0981)}] * relaxed
+    assert called["solve"] == [dc.NesterovPGS(sweeps=500, tolerance=None)] * solved

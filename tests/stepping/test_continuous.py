@@ -1,0 +1,357 @@
+"""Circles that move far in one step: each pushes the first body in its way, and none gets out of the box."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import circles_at
+
+import deep_contact as dc
+from deep_contact.solvers import METHODS
+from deep_contact.studies.extremes import loaded_silo
+
+NO_GRAVITY = dc.World(box=(0, 0, 60, 40), gravity=(0, 0))
+EMPTY = dc.World(box=(-1e5, -1e5, 1e5, 1e5), gravity=(0, 0), friction=0.0)
+ELASTIC = replace(NO_GRAVITY, restitution=1.0, friction=0.0)
+SOLVERS = {name: METHODS[name]() for name in METHODS}
+
+
+def scene(position, velocity, *, radius=1.0, world=NO_GRAVITY, **options):
+    return dc.State(
+        name="fast", world=world, bodies=dc.make_bodies(position, velocity=velocity, radius=radius, **options)
+    )
+
+
+def inside(state):
+    box, position = np.array(state.world.box), state.bodies.position
+    return bool(((position > box[:2]) & (position < box[2:])).all())
+
+
+LINE, END = ((8.51, 15.0), (8.51, 25.0)), ((8.51, 20.0), (15.0, 20.0))
+# The circle is touched at a distance of 1.9975 m, after 0.6025 of 1.9 m; both go on with half of the rate.
+PUSHED = 9.5 - 1.9975 + 0.5 * (1.9 - 0.6025)
+OBSTACLES = [([[9.5, 20.0]], (), PUSHED, 95.0), ([], [LINE], 7.5025, 0.0), ([], [END], 7.5025, 0.0)]
+
+
+@pytest.mark.parametrize(("circles", "segments", "place", "speed"), OBSTACLES)
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_fast_circle_pushes_where_it_touches_and_hits_in_the_next_step(name, circles, segments, place, speed):
+    # By hand: 1.9 m a step from x = 5 touches the circle, the line or its end after 2.5 m, in the second step.
+    velocity = [[190.0, 0.0]] + [[0.0, 0.0]] * len(circles)
+    state = scene([[5.0, 20.0], *circles], velocity, world=replace(NO_GRAVITY, segments=segments, friction=0.3))
+    first = dc.simulate(state, steps=1, solver=SOLVERS[name]).state
+    np.testing.assert_allclose(first.bodies.position[0], [6.9, 20.0], rtol=1e-12)
+    second = dc.simulate(first, steps=1, solver=SOLVERS[name]).state
+    np.testing.assert_allclose(second.bodies.position[0], [place, 20.0], rtol=1e-12)
+    np.testing.assert_allclose(second.bodies.velocity[0], [190.0, 0.0])
+    assert second.contacts.count == 1
+    third = dc.simulate(second, steps=1, solver=SOLVERS[name]).state
+    np.testing.assert_allclose(third.bodies.velocity[:, 0], speed, atol=1e-6 * 190)
+
+
+@pytest.mark.parametrize("frame", [0.0, 1000.0, -64.0])
+def test_a_push_is_the_same_in_every_frame_and_keeps_the_centre_of_mass(frame):
+    # Touch after 1.5025 of 1.9 m; then 1.9 / (1 + m) m a step for both.
+    for mass in (1.0, 3.0):
+        state = scene([[0.0, 0.0], [3.5, 0.0]], [[190.0 + frame, 0.0], [frame, 0.0]], mass=[1.0, mass], world=EMPTY)
+        x = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position[:, 0]
+        rest = (1.9 - 1.5025) / (1.0 + mass)
+        np.testing.assert_allclose(x - 0.01 * frame, [1.5025 + rest, 3.5 + rest], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", [*SOLVERS, "divided"])
+def test_circles_that_touch_and_fly_together_are_free(name):
+    # At half a slop of overlap, exactly where a touch leaves a pair.
+    solver = SOLVERS.get(name, dc.PGS(most_substeps=4))
+    state = scene([[0.0, 0.0], [1.9975, 0.0]], [[60.0, 0.0], [60.0, 0.0]], world=EMPTY)
+    after = dc.simulate(state, steps=100, solver=solver).state
+    np.testing.assert_allclose(after.bodies.position - state.bodies.position, [[60.0, 0.0]] * 2, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_clump_that_is_thrown_stays_together_in_every_frame(name, seed):
+    # They wobble by less than a touch needs. The centre of mass goes straight on, and nobody stays behind.
+    rng = np.random.default_rng(seed)
+    side, speed = int(rng.integers(2, 6)), rng.uniform(40.0, 1000.0)
+    position = 1.9975 * np.stack(np.meshgrid(np.arange(side), np.arange(side)), -1).reshape(-1, 2)
+    wobble = rng.normal(0.0, 0.3 * (seed % 2), (side**2, 2))
+    throw, found = speed * np.array([np.cos(seed), np.sin(seed)]), []
+    for frame in (0.0, 1.0):
+        state = scene(position, wobble + frame * throw, world=EMPTY)
+        found.append(dc.simulate(state, steps=50, solver=SOLVERS[name]).state.bodies.position - 0.5 * frame * throw)
+        np.testing.assert_allclose(found[-1].mean(axis=0), position.mean(axis=0) + 0.5 * wobble.mean(axis=0), atol=1e-9)
+    np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-9 * 0.5 * speed)
+
+
+def test_a_fast_circle_that_meets_a_wall_keeps_its_velocity_and_its_way_along_the_wall():
+    # 1 m of 1.9 m to the skin of the wall. At e = 0 nothing changes the momentum but impulses and gravity.
+    world = replace(NO_GRAVITY, gravity=(0.0, -10.0))
+    state = dc.simulate(scene([[57.99, 20.0]], [[190.0, 0.0]], world=world), steps=1, solver=dc.PGS()).state
+    np.testing.assert_allclose(state.bodies.velocity[0], [190.0, -0.1], rtol=1e-12)
+    np.testing.assert_allclose(state.bodies.position[0], [60 - 1 - 0.01 + 0.0025, 20 - 0.001], rtol=1e-12)
+
+
+@pytest.mark.parametrize("restitution", [0.5, 1.0])
+@pytest.mark.parametrize("pushed", [False, True])
+@pytest.mark.parametrize("turned", [0.0, 0.6])
+def test_what_is_held_early_keeps_the_energy_of_its_height(restitution, pushed, turned):
+    # From 9 m above the floor at 150 m/s: it misses most of a step's way. Leapfrog: ½ (v + g Δt / 2)² + g y is kept.
+    # Turned: with a slope, on which only the speed along its normal changes.
+    g, dt, line = 9.81, 0.01, ()
+    if turned:
+        line = [((60.0 - 40.0 * np.cos(turned), 20.0 - 40.0 * np.sin(turned)), (60.0, 20.0))]
+    world = dc.World(
+        box=(-500, 0, 500, 100), gravity=(0, 0 if pushed else -g), friction=0.0, restitution=restitution, segments=line
+    )
+    state = scene([[40.0, 15.3]], [[0.0, -150.0]], world=world)
+    force = (state.bodies.mass[0] * np.array([[0.0, -g]]), [0.0]) if pushed else None
+    run = dc.simulate(state, steps=60, record=1, solver=dc.PGS(), push=force)
+    x, v = run.trajectory.positions[:, 0], run.trajectory.velocities[:, 0] - [0.0, 0.5 * g * dt]
+    energy = 0.5 * (v**2).sum(axis=1) + g * x[:, 1]
+    hit = int(np.argmax(np.abs(np.diff(run.trajectory.velocities[:, 0, 1])) > 1.0))
+    np.testing.assert_allclose(energy[: hit + 1], energy[0], rtol=1e-9)
+    if restitution == 1.0:
+        np.testing.assert_allclose(energy, energy[0], rtol=1e-9)
+
+
+def test_a_circle_meets_what_has_stopped_before_it():
+    # The second follows the first at the same speed, 2.5 m behind, and would never touch it; the first stops at the
+    # wall after 0.5 m, so the second may go 1 m.
+    state = scene([[58.49, 20.0], [55.99, 20.0]], [[190.0, 0.0], [190.0, 0.0]])
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state
+    np.testing.assert_allclose(after.bodies.position[:, 0], [58.9925, 56.995], rtol=1e-12)
+
+
+def test_touches_of_one_time_have_no_order():
+    # One between two, and a symmetric wedge: mirrored to rounding, whatever the order of the circles.
+    for order in ([0, 1, 2], [1, 0, 2], [2, 1, 0]):
+        position = np.array([[29.0, 20.0], [31.0, 20.0], [30.0, 25.0]])[order]
+        velocity = np.array([[0.0, 0.0], [0.0, 0.0], [0.0, -400.0]])[order]
+        x = dc.simulate(scene(position, velocity), steps=1, solver=dc.PGS()).state.bodies.position
+        left, right, top = x[[order.index(k) for k in range(3)]]
+        np.testing.assert_allclose([left[0] + right[0], left[1] - right[1], top[0]], [60.0, 0.0, 30.0], atol=1e-12)
+        assert left[0] < 29.0
+        assert top[1] > left[1]
+
+
+def test_what_moves_fast_carries_circles_up_to_what_rests():
+    # 10 m a step: the wall carries three, which stop one after the other before the line that rests, and passes over.
+    for solver in (dc.PGS(), dc.BatchedPGS()):
+        lines, velocities = [((0, -9), (0, 9)), ((8, -9), (8, 9))], [((1000, 0), (1000, 0)), ((0, 0), (0, 0))]
+        world = replace(EMPTY, segments=lines, segment_velocities=velocities)
+        state = scene([[2.0, 0.0], [4.1, 0.0], [6.2, 0.0]], [[0.0, 0.0]] * 3, world=world)
+        with pytest.warns(UserWarning, match="a moving segment passes over circle"):
+            after = dc.simulate(state, steps=5, solver=solver).state
+        np.testing.assert_allclose(after.bodies.position[:, 0], [2.9975, 4.995, 6.9925], atol=0.02)
+
+
+@pytest.mark.parametrize("rest", ["segment", "wall", "circle", "wedge"])
+def test_a_moving_segment_passes_over_what_is_held_in_its_way(rest):
+    # At 0.5 m/s, and so once: the circle never gets through what rests, and is not shot away.
+    lines, velocities, box = [((0, -5), (0, 5))], [((0.5, 0), (0.5, 0))], (-50, -50, 50, 50)
+    position, radius, fixed = [[1.5, 0.0]], [0.5], [False]
+    if rest == "segment":
+        lines, velocities = [*lines, ((3, -5), (3, 5))], [*velocities, ((0, 0), (0, 0))]
+    elif rest == "wedge":
+        lines += [((3.5, 0), (2.5, -1)), ((3.5, 0), (2.5, 1))]
+        velocities = [*velocities, ((0, 0), (0, 0)), ((0, 0), (0, 0))]
+    elif rest == "circle":
+        position, radius, fixed = [[1.5, 0.0], [4.0, 0.0]], [0.5, 1.0], [False, True]
+    else:
+        box = (-50, -50, 3, 50)
+    world = dc.World(box=box, gravity=(0, 0), friction=0.3, segments=lines, segment_velocities=velocities)
+    state = dc.State(name="press", world=world, bodies=dc.make_bodies(position, radius=radius, fixed=fixed))
+    with pytest.warns(UserWarning, match="passes over circle 0") as said:
+        run = dc.simulate(state, steps=1204, record=1, solver=dc.PGS())
+    assert len(said) == 1
+    x, speed = run.trajectory.positions[:, 0, 0], np.abs(run.trajectory.velocities[:, 0]).max()
+    assert x.max() <= (2.9 if rest == "wedge" else 2.5)
+    assert speed <= 0.6
+    assert run.state.world.segments[0][0] > 6.0
+
+
+def test_circles_that_fly_together_are_not_held():
+    state = scene([[10.0, 20.0], [12.1, 20.0], [14.2, 20.0]], [[190.0, 0.0]] * 3)
+    after = dc.simulate(state, steps=10, solver=dc.PGS()).state
+    np.testing.assert_allclose(after.bodies.position - state.bodies.position, [[19.0, 0.0]] * 3, atol=1e-9)
+
+
+def test_small_circles_do_not_slip_between_or_through():
+    # A wall of unlike circles across the box; a thousandth as large, and fast, against it from the left.
+    y = np.arange(1.0, 40.0, 2.0)
+    wall = np.column_stack([np.full(20, 30.0), y])
+    bullets = np.column_stack([np.full(20, 25.0), y])
+    state = scene(
+        np.vstack([wall, bullets]), [[0.0, 0.0]] * 20 + [[95.0, 0.0]] * 20, radius=[1.0] * 20 + [0.001] * 20,
+        mass=[1e6] * 20 + [1.0] * 20,
+    )  # fmt: skip
+    after = dc.simulate(state, steps=30, solver=dc.PGS()).state
+    assert (after.bodies.position[20:, 0] < 30.0).all()
+
+
+@pytest.mark.parametrize("speed", [1.0, 24.0, 49.0])
+def test_what_moves_less_than_half_a_radius_is_left_alone(speed):
+    # To the last bit it moves by Δt v.
+    state = scene([[30.0, 20.0], [40.0, 20.0]], [[speed, 0.0], [0.0, 0.0]])
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state
+    np.testing.assert_array_equal(after.bodies.position, state.bodies.position + 0.01 * state.bodies.velocity)
+
+
+@pytest.mark.parametrize("speed", [1e2, 1e4, 1e6])
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_gets_out_of_a_closed_box(seed, speed):
+    rng = np.random.default_rng(seed)
+    state = dc.circles_in_box(40, radius=(0.5, 1.0), restitution=float(rng.choice([0.0, 0.5, 1.0])), seed=seed)
+    velocity = speed * rng.normal(size=(40, 2))
+    state = state.replace(bodies=state.bodies._replace(velocity=velocity))
+    for _ in range(20):
+        state = dc.simulate(state, steps=10, solver=dc.PGS(sweeps=20)).state
+        assert inside(state)
+
+
+def test_fast_circles_do_not_change_their_order_in_a_channel():
+    # 15 circles at random speeds in a channel that is one circle wide: none passes another.
+    rng = np.random.default_rng(8)
+    x = np.cumsum(rng.uniform(2.0, 4.0, 15))
+    world = replace(ELASTIC, box=(0, 0, x[-1] + 3, 2.02))
+    velocity = np.column_stack([rng.normal(0, 1e3, 15), np.zeros(15)])
+    state = scene(np.column_stack([x, np.full(15, 1.01)]), velocity, world=world)
+    for _ in range(300):
+        state = dc.step(state, solver=dc.PGS())
+        assert (np.diff(state.bodies.position[:, 0]) > 0).all()
+        assert inside(state)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_what_is_pressed_too_hard_for_the_sweeps_stays_in_the_box(name):
+    # A million times as heavy on top: five sweeps hold nothing, and the circles below sink into each other.
+    state = loaded_silo(5, 1e6)
+    solver = replace(SOLVERS[name], sweeps=5, tolerance=None)
+    for _ in range(200):
+        state = dc.simulate(state, steps=1, solver=solver).state
+        assert inside(state)
+
+
+@pytest.mark.filterwarnings("ignore:.*outside of the box")
+def test_what_begins_outside_comes_in_by_its_contact():
+    # Centres 0.1 and 3 m behind the wall: no step puts them inside at once, but they come.
+    state = scene([[-0.1, 10.0], [-3.0, 20.0]], [[0.0, 0.0], [0.0, 0.0]])
+    after = dc.simulate(state, steps=1, solver=dc.PGS(position_sweeps=1)).state
+    np.testing.assert_allclose(after.bodies.position[:, 0], [0.1, -2.8], atol=1e-9)
+    assert inside(dc.simulate(after, steps=40, solver=dc.PGS()).state)
+
+
+def test_restitution_1_keeps_the_energy_of_ten_thousand_bounces_under_gravity():
+    # Symplectic Euler keeps ½ m v² + m g y − ½ Δt m g v of a fall, and a bounce at a step's end turns the fall back.
+    state = dc.single_body(height=0.3, restitution=1.0, friction=0.5)
+
+    def energy(bodies):
+        return 0.5 * bodies.velocity[0, 1] ** 2 + 9.81 * (bodies.position[0, 1] - 0.01 * bodies.velocity[0, 1])
+
+    run = dc.simulate(state, steps=255_000, dt=0.02, solver=dc.PGS(sweeps=2))
+    assert (run.contacts > 0).sum() > 10_000
+    assert abs(energy(run.state.bodies) / energy(state.bodies) - 1) < 1e-9
+
+
+def test_a_circle_that_leaves_a_wall_is_struck_back_to_it_and_rebounds():
+    # They swap ±1 and ∓3 m/s, and the wall returns the 3: momentum and energy of each blow alone.
+    state = scene([[1.0, 15.0], [3.0, 15.0]], [[1.0, 0.0], [-3.0, 0.0]], world=ELASTIC)
+    solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=200))
+    np.testing.assert_allclose(solution.velocities[:, 0], [1.0, 3.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.2])
+def test_newtons_cradle_hands_its_speed_on(gap):
+    # Blows follow one another, with gaps between the balls over steps, without gaps in one step.
+    x = 5.0 + np.array([0.0, *(6.0 + (2.0 + gap) * np.arange(4))])
+    state = scene(np.column_stack([x, np.full(5, 20.0)]), [[5.0, 0.0]] + [[0.0, 0.0]] * 4, world=ELASTIC)
+    state = dc.simulate(state, steps=150, solver=dc.PGS(sweeps=1000, tolerance=None)).state
+    np.testing.assert_allclose(state.bodies.velocity[:, 0], [0, 0, 0, 0, 5], atol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [120.0, 900.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_every_pair_that_flies_at_each_other_meets_wherever_it_is(seed, speed):
+    """Forty pairs, in all directions and at all distances; each is ordered along its line as before the step."""
+    rng, dt = np.random.default_rng(seed), 0.01
+    cells = rng.permutation(64)[:40]
+    middle = 30.0 * np.column_stack([cells // 8, cells % 8]) + rng.uniform(-4.0, 4.0, (40, 2)) + 30.0
+    angle, radius = rng.uniform(0.0, 2.0 * np.pi, 40), rng.uniform(0.05, 1.0, (40, 2))
+    along, share = np.column_stack([np.cos(angle), np.sin(angle)]), rng.uniform(0.0, 1.0, 40)
+    gap = rng.uniform(0.1, 0.9, 40) * speed * dt
+    apart = (radius.sum(axis=1) + gap)[:, None] * along
+    velocity = np.concatenate([(share * speed)[:, None] * along, -((1.0 - share) * speed)[:, None] * along])
+    state = circles_at(
+        np.concatenate([middle - 0.5 * apart, middle + 0.5 * apart]), radius=radius.T.ravel(), velocity=velocity,
+        gravity=(0.0, 0.0), friction=0.0, restitution=1.0, box=(0.0, 0.0, 300.0, 300.0), dt=dt,
+    )  # fmt: skip
+    after = dc.simulate(state, steps=2, solver=dc.PGS(), record=1).trajectory.positions[1:]
+    for position in after:
+        distance = np.einsum("ij,ij->i", position[40:] - position[:40], along)
+        assert (distance > 0.9 * radius.sum(axis=1)).all()
+
+
+@pytest.mark.parametrize("overlap", [0.3, 1.2])
+@pytest.mark.parametrize("angle", [0.0, 2.0])
+def test_what_is_deep_in_another_and_fast_does_not_pass_it(overlap, angle):
+    """Nor the wall in which it begins."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+    centres = np.add([30.0, 20.0], np.outer([0.0, 2.0 - overlap], along))
+    run = dc.simulate(scene(centres, np.outer([150.0, -100.0], along)), steps=6, solver=dc.PGS(), record=1).trajectory
+    assert (np.einsum("tj,j->t", run.positions[:, 1] - run.positions[:, 0], along) > 0.0).all()
+    beside = scene([[1.0 - 0.5 * overlap, 20.0]], [[-150.0, 0.0]])
+    assert (dc.simulate(beside, steps=6, solver=dc.PGS(), record=1).trajectory.positions[..., 0] > 0.0).all()
+
+
+def test_velocities_of_a_solution_are_of_discs_of_any_radius():
+    """I ω = r P_t: of a disc of 0.25 m that is thrown along the floor."""
+    state = dc.find_contacts(scene([[20.0, 0.25]], [[3.0, -1.0]], radius=0.25, world=replace(NO_GRAVITY, friction=0.5)))
+    solution = dc.solve_contacts(state, solver=dc.PGS())
+    p_n, p_t, (mass,), (inertia,) = *solution[:2], state.bodies.mass, state.bodies.inertia
+    arm = 0.25 + 0.5 * state.contacts.separation[0]
+    assert p_n[0] == pytest.approx(mass * 1.0, rel=1e-6)
+    assert abs(p_t[0]) == pytest.approx(min(0.5 * p_n[0], 3.0 / (1.0 / mass + arm**2 / inertia)), rel=1e-6)
+    assert solution.angular_velocities[0] == pytest.approx(-arm * abs(p_t[0]) / inertia, rel=1e-6)
+    np.testing.assert_allclose(solution.velocities, [[3.0 - abs(p_t[0]) / mass, 0.0]], atol=1e-6)
+
+
+@pytest.mark.parametrize("gravity", [(0.0, -9.81), (7.0, -3.0), (-9.81, 0.0), (2.0, 9.0)])
+@pytest.mark.parametrize("velocity", [(70.0, 45.0), (-150.0, 80.0)])
+def test_elastic_bounces_of_a_fast_circle_keep_their_energy_however_gravity_lies(gravity, velocity):
+    """½ v² − g · x, with v half a step later: velocities of the leapfrog are those of half a step before."""
+    world = replace(ELASTIC, gravity=gravity)
+    run = dc.simulate(scene([[25.0, 17.0]], [velocity], world=world), steps=300, solver=dc.PGS(), record=1).trajectory
+    late = run.velocities[:, 0] + 0.5 * 0.01 * np.array(gravity)
+    energy = 0.5 * (late**2).sum(axis=1) - run.positions[:, 0] @ gravity
+    np.testing.assert_allclose(energy, energy[0], rtol=2e-5)
+    assert np.count_nonzero(np.abs(np.diff(run.velocities[:, 0], axis=0)).max(axis=1) > 1.0) > 5
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("way", [-1, 1])
+def test_a_fast_circle_meets_what_is_many_cells_away_in_a_crowd_of_small_ones(axis, way):
+    """10 m a step along a row that is empty but for one circle, 8 m away."""
+    grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0)), axis=-1).reshape(-1, 2)
+    row = grid[:, 1 - axis] == 7.0
+    line = np.array([[10.0 - 5.0 * way, 7.0], [10.0 + 3.0 * way, 7.0]])[:, :: 1 - 2 * axis]
+    speeds = np.zeros((len(grid[~row]) + 2, 2))
+    speeds[-2, axis] = 1000.0 * way
+    state = scene(np.concatenate([grid[~row], line]) + 5.0, speeds, radius=0.1)
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position[-2:, axis]
+    assert (after[1] - after[0]) * way > 0.1
+    assert (after[0] - line[0, axis] - 5.0) * way > 7.0
+
+
+@pytest.mark.parametrize("signs", [(-1, -1), (-1, 1), (1, -1), (1, 1)])
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_fast_circle_that_flies_into_a_corner_meets_the_nearer_wall_first(signs, first):
+    """Of a box of 60 m × 40 m: after half of its way it touches one wall, after three quarters it would the other."""
+    gaps = np.array([3.0, 3.0])
+    gaps[first] = 2.0
+    corner = np.where(np.array(signs) > 0, [60.0, 40.0], 0.0)
+    state = scene([corner - np.array(signs) * (1.0 + gaps)], [np.array(signs) * 400.0])
+    run = dc.simulate(state, steps=3, solver=dc.PGS(), record=1).trajectory
+    sunk = 1.0 - np.abs(corner - run.positions[:, 0])
+    assert sunk.max() < 0.02
+    assert run.positions[1, 0, first] == pytest.approx(corner[first] - signs[first], abs=0.02)
