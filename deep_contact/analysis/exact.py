@@ -45,8 +45,8 @@ FIRST_EPSILON = 1e-4
 """ε of the first step."""
 
 LEAST_EPSILON = 1e-6
-"""Smallest ε. A pivot may divide by a number of order ε, if other contacts hold its contact, and this loses as many of
-the 16 digits as 1 / ε has."""
+"""Smallest ε. If other contacts hold the contact of a pivot, the pivot divides by a number of order ε, which costs as
+many of the 16 digits as 1 / ε has."""
 
 LARGEST_EPSILON = 0.1
 """Largest ε: a drift of λ leaves a residual of ε times that drift."""

@@ -78,6 +78,7 @@ def _keeps_solver(state: State, accuracy) -> bool:
 
 def checked_solver(solver, state: State):
     """`solver`, or the state's solver, or PGS, with numbers for this state. Raises ValueError on an unknown solver."""
-    solver = next(one for one in (solver, state.solver, PGS()) if one is not None)
+    if solver is None:
+        solver = PGS() if state.solver is None else state.solver
     entry_of(solver)
     return solver.for_state(state)

@@ -17,7 +17,7 @@ from deep_contact.starts.changed_load import with_time_step
 from deep_contact.starts.classical import starting_impulses
 from deep_contact.starts.names import Start
 from deep_contact.state.state import State, StateWithContacts, read_only
-from deep_contact.state.validation import expect, flag, integer, suggesting
+from deep_contact.state.validation import flag, integer, suggesting
 from deep_contact.stepping.convergence import ConvergenceRecord
 from deep_contact.stepping.log import make_log
 from deep_contact.stepping.prepare import ready
@@ -111,14 +111,15 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
     steps = integer("steps", options.steps, most=MOST_STEPS, hint="; Δt is dt=…")
     if record is not None:
         integer("record", record, least=1)
-    expect(not flag("forces", forces) or record is not None, "forces: expected False without record=…, got True")
+    if flag("forces", forces) and record is None:
+        raise ValueError("forces: expected False without record=…, got True")
     if options.dt is not None:
         state = with_time_step(state, options.dt)
-    run = _last_run.take(state, options.how) if options.push is None else None
+    how = options.how
+    run = _last_run.take(state, how) if options.push is None else None
     if run is None:
-        solver, accuracy, warm_start, sleep = options.how
-        how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep}
-        run = Simulator(state, **how, push=options.push)
+        solver, accuracy, warm_start, sleep = how
+        run = Simulator(state, solver=solver, accuracy=accuracy, warm_start=warm_start, sleep=sleep, push=options.push)
     is_driven, every, done = record is not None and run._inputs.drive is not None, record or steps + 1, 0
     n, is_shifted = state.bodies.count, record is not None and not is_driven and state.world.restitution > 0.0
     loads_of = 4 + len(state.world.segments) if forces else 0
@@ -148,8 +149,8 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
             solved += run._seen[:1]
     recorded = Trajectory.from_states(frames, work=work if is_driven else None) if frames else None
     of_steps = Trajectory.from_states(solved) if solved else None
-    columns = (column[:done] for column in log[:5])
+    columns = [column[:done] for column in log[:5]]
     sums = np.array(loads) if forces else None, of_steps, np.array(on_circles) if is_driven else None
     sums += (np.array(shifts) if is_shifted else None,)
-    last = _last_run.keep(run, options.how) if done else run._state(np.asarray)
+    last = _last_run.keep(run, how) if done else run._state(np.asarray)
     return Simulation(last, *columns, recorded, *sums)

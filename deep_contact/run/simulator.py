@@ -228,10 +228,10 @@ class Simulator:
     def _go_on(self, state: StateWithContacts, start: WarmStart) -> None:
         """Go on from a state that is ready, with its solver."""
         solver, n, sleep = state.solver, state.bodies.count, self._options.sleep
-        bodies, contacts = (type(part)(*map(np.copy, part)) for part in (state.bodies, state.contacts))
+        bodies, contacts = Bodies(*map(np.copy, state.bodies)), Contacts(*map(np.copy, state.contacts))
         if isinstance(start, NoStart):
             contacts.normal_start[:] = contacts.tangent_start[:] = 0.0
-        scene = replace(state, bodies=bodies, contacts=contacts, load=None)
+        scene = changed(state, bodies=bodies, contacts=contacts, load=None)
         scales = scales_of(state, solver)
         inputs = step_input(scene, solver, scales)
         kind = solver, sleep, isinstance(start, NoStart)
@@ -244,11 +244,11 @@ class Simulator:
         self._kind, self._start, self._scene, self._scales, self._inputs = kind, start, scene, scales, inputs
         # Without friction, tangent rows are left out once no contact starts from a tangent impulse.
         self._may_lose_tangents = scene.world.friction == 0.0 and entry_of(solver).advance is None
-        self._is_one_solve = replace(scene, solved=True).holds_solution
+        self._is_one_solve = changed(scene, solved=True).holds_solution
         self._asks_between = callable(self._options.push) or not isinstance(start, (Builtin, NoStart))
         self._origin = self._now = _Now(contacts, state.step, state.time, state.solved)
         if callable(self._options.push):
-            self._scene = scene = replace(scene, push=(np.zeros((n, 2)), np.zeros(n)))
+            self._scene = scene = changed(scene, push=(np.zeros((n, 2)), np.zeros(n)))
             self._inputs = step_input(scene, solver, scales)
         self._push = scene.push
         drive = self._inputs.drive
@@ -260,7 +260,7 @@ class Simulator:
         if self._steps.sleep is not None:
             self._moved += self._steps.sleep.remembered
         self._kept, self._log, self._work = tuple(map(np.copy, self._moved)), make_log(1), MOST_WORK // 8
-        self._views = tuple(array.view() for array in bodies[:2])
+        self._views = bodies.position.view(), bodies.velocity.view()
         for view in self._views:
             view.flags.writeable = False
         self._seen: tuple = ()  # arguments of `on_step` for the last watched step
@@ -269,7 +269,7 @@ class Simulator:
         """The number of steps that a call may do: 1 if the start or the push needs Python between two steps."""
         if self._asks_between:
             return 1
-        return 1 + self._work // (10 * self._scene.bodies.count + 50)
+        return 1 + self._work // (10 * len(self._views[0]) + 50)
 
     def _rows(self, log: StepLog, first: int, count: int, is_watched: bool = False) -> StepLog:
         """`count` rows of a log from `first` on, as the log of a call."""
@@ -404,7 +404,7 @@ def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, War
     first, state = state, ready(state)
     accuracy, push = options.accuracy, options.push
     constant = None if push is None or callable(push) else checked_push(push, state.bodies.count)
-    state = replace(state, push=constant)
+    state = changed(state, push=constant)
     without_past = first.contacts is None or state.step == 0
     chosen_for = changed(state, solver=None) if options.is_anew and accuracy is None else state
     how = options.solver, options.warm_start, accuracy
@@ -421,4 +421,4 @@ def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, War
         state = with_shifted_flights(state, state.dt / state.solver.substeps - state.dt / solver.substeps)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     preset = accuracy if isinstance(accuracy, str) else state.preset if solver == state.solver else None
-    return state.replace(solver=solver, preset=preset), start
+    return changed(state, solver=solver, preset=preset), start

@@ -142,7 +142,7 @@ def plan_batches(body_a, body_b, n, plan):
 
 @njit(cache=True)
 def is_plan_of(plan, n, contacts, planned):
-    """Whether the plan of the contacts `planned` of n circles holds for other contacts: equal pairs in equal order."""
+    """Whether a plan for the contacts `planned` fits these contacts of n circles: equal pairs, in equal order."""
     m = contacts.body_a.shape[0]
     if plan.count[CIRCLES] != n or plan.count[CONTACTS] != m:
         return False

@@ -57,11 +57,25 @@ def is_network(start) -> bool:
     return hasattr(start, "predict") or isinstance(start, Path) or (isinstance(start, str) and start.endswith(".h5"))
 
 
+def _by_name(name: str) -> WarmStart:
+    """The start of this name. Raises ValueError on a name that is none, with the new name of an old one."""
+    if name in RENAMED:
+        raise ValueError(f"warm_start: {name!r} is called {RENAMED[name]!r} now")
+    if name not in STARTS:
+        networks = _at("cnn.registry:registered")()
+        hint = f"got {name!r}: a network is passed as dc.load_model({name!r})"
+        expect(name not in networks, f"warm_start: expected one of {', '.join(STARTS)}, {hint}")
+        one_of("warm_start", name, STARTS)
+    return STARTS[name]()
+
+
 def warm_start_of(start: Start) -> WarmStart:
     """The start that None, a name, a network or its path stands for; a callable is returned as it is.
 
     Raises ValueError on any other value.
     """
+    if start is None or (isinstance(start, str) and not is_network(start)):
+        return _by_name("none" if start is None else start)
     if isinstance(start, type):
         raise ValueError(f"warm_start: expected an instance, such as {start.__name__}(), got the class")
     if any(kind.__module__.partition(".")[0] == "keras" for kind in type(start).__mro__):
@@ -71,12 +85,4 @@ def warm_start_of(start: Start) -> WarmStart:
         return start
     if is_network(start):
         return _at("cnn.start:Cnn", model=start)()
-    if start is None or isinstance(start, str):
-        start = "none" if start is None else start
-        expect(start not in RENAMED, f"warm_start: {start!r} is called {RENAMED.get(start)!r} now")
-        if start not in STARTS:
-            networks = _at("cnn.registry:registered")()
-            hint = f"got {start!r}: a network is passed as dc.load_model({start!r})"
-            expect(start not in networks, f"warm_start: expected one of {', '.join(STARTS)}, {hint}")
-        return STARTS[one_of("warm_start", start, STARTS)]()
     raise ValueError(f"warm_start: expected None, a name, a network, its path or a callable, got {brief(start)}")

@@ -6,37 +6,39 @@ code.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from deep_contact.state.arrays import Bodies, Contacts
 from deep_contact.state.fields import beyond_limits, check_bodies, check_contacts
-from deep_contact.state.validation import brief, expect, flag, integer, number
-
-if TYPE_CHECKING:
-    from deep_contact.state.state import State
+from deep_contact.state.state import State, changed
+from deep_contact.state.validation import brief, flag, integer, number
+from deep_contact.state.world import World
 
 
 def check_state(state: State) -> State:
+    """The state, if its fields have the right types, with all arrays validated and owned.
+
+    Raises ValueError naming the field and the value.
+    """
+    return with_checked_arrays(check_types(state))
+
+
+def with_checked_arrays(state: State) -> State:
     """The state with all arrays validated and owned. Raises ValueError naming the field and the value."""
-    check_types(state)
     bodies, contacts = check_bodies(state.bodies), state.contacts
     if contacts is not None:
         contacts = check_contacts(contacts, bodies, len(state.world.segments))
-    return state.replace(bodies=bodies, contacts=contacts, preset=state.preset)
+    return changed(state, bodies=bodies, contacts=contacts)
 
 
 def check_types(state) -> State:
     """The state itself, if its fields have the right types. Raises ValueError naming the field."""
-    from deep_contact.state.state import State  # not at the top: that module imports this one
-    from deep_contact.state.world import World  # not at the top: that module imports this one
-
     if not isinstance(state, State):
         raise ValueError(f"state: expected a State, as of dc.circles_in_box or dc.read_state, got {brief(state)}")
     for name, kind in (("world", World), ("bodies", Bodies), ("contacts", Contacts)):
         value = getattr(state, name)
         if not (isinstance(value, kind) or (value is None and kind is Contacts)):
             raise ValueError(f"{name}: expected {kind.__name__}, got {type(value).__name__}")
-    expect(isinstance(state.name, str), f"name: expected a text, got {brief(state.name)}")
+    if not isinstance(state.name, str):
+        raise ValueError(f"name: expected a text, got {brief(state.name)}")
     number("time", state.time)
     number("dt", state.dt, above=0)
     integer("step", state.step)
@@ -52,7 +54,7 @@ def check_solution(state: State) -> None:
 
 def check_limits(state: State) -> State:
     """The state itself, if all it holds is within `LIMITS`. Raises ValueError naming the quantity, limits and value."""
-    parts = {name: getattr(state, name) for name in ("bodies", "contacts", "world", "dt", "scales")}
-    for message in beyond_limits(**parts):
+    bodies, contacts, world = state.bodies, state.contacts, state.world
+    for message in beyond_limits(bodies=bodies, contacts=contacts, world=world, dt=state.dt, scales=state.scales):
         raise ValueError(message)
     return state

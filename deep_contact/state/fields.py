@@ -93,12 +93,25 @@ def check_bodies(bodies: Bodies) -> Bodies:
     if not isinstance(bodies, Bodies):  # not by `expect`, whose message would take longer than the checks
         raise ValueError(f"bodies: expected Bodies, as dc.make_bodies makes them, got {brief(bodies)}")
     n = _length("bodies.mass", bodies.mass)
+    if _are_plain(bodies, n):
+        return Bodies(*map(np.copy, bodies))
     # The radius first: if a mass was computed from it, the radius is at fault.
     names = sorted(Bodies._fields, key=lambda name: name != "radius")
     fields = {name: _checked_array("bodies", name, getattr(bodies, name), n) for name in names}
     for name in ("mass", "radius"):
         refuse_where(fields[name] <= 0, f"bodies.{name}", fields[name], "a number > 0")
     return Bodies(**fields)
+
+
+def _are_plain(bodies: Bodies, n: int) -> bool:
+    """Whether all arrays are contiguous float64 of the right shape and valid: most are, and one look tells."""
+    shapes = (n, 2), (n, 2), (n,), (n,), (n,), (n,)
+    for array, shape in zip(bodies, shapes):
+        if type(array) is not np.ndarray or array.dtype != np.float64 or array.shape != shape or not array.flags.carray:
+            return False
+    mass, radius = bodies.mass, bodies.radius
+    finite = np.isfinite(np.concatenate([array.ravel() for array in (*bodies[:4], radius)])).all()
+    return bool(finite and (radius > 0).all() and (mass > 0).all())
 
 
 def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Contacts:

@@ -143,8 +143,8 @@ else:
 def native(state: State) -> State:
     """The state with all arrays in the byte order of this machine: Numba compiles for no other."""
     for name, part in (("bodies", state.bodies), ("contacts", state.contacts)):
-        if part is not None and not all(array.dtype.isnative for array in part):
-            arrays = (array.astype(array.dtype.newbyteorder("="), copy=False) for array in part)
+        if part is not None and not all([array.dtype.isnative for array in part]):
+            arrays = [array.astype(array.dtype.newbyteorder("="), copy=False) for array in part]
             state = changed(state, **{name: type(part)(*arrays)})
     return state
 

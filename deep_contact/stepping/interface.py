@@ -10,7 +10,8 @@ choice between steps. A solver from outside this package registers in the same w
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from copy import copy
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 from numba.extending import overload
@@ -90,8 +91,10 @@ class SolverOptions(SweepOptions):
         if self.tolerance != FOLLOWS_SCENE:
             return self
         bodies = state.bodies
+        solver = copy(self)  # not by `replace`, which would validate all options again
         tolerance_of_state = theta_tolerance(bodies.mass, bodies.radius, state.world.gravity, state.dt)
-        return replace(self, tolerance=tolerance_of_state / self.substeps)
+        object.__setattr__(solver, "tolerance", tolerance_of_state / self.substeps)
+        return solver
 
 
 class Loop(NamedTuple):

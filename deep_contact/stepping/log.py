@@ -48,16 +48,16 @@ def make_log(steps: int, loads: int = 0, circles: int = 0, shifts: int = 0) -> S
     loads: number of walls and segments, or 0 to log no impulses on them. circles, shifts: number of circles, or 0 to
     log no `on_circles` or no `shifts`.
     """
-    columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64, np.int64))
+    counts, theta = np.zeros((4, steps), np.int64), np.zeros(steps)
     progress = np.array([0, 2**63 - 1, 0, 0, 1, 0])  # without a bound on the work
     sums = np.zeros((loads, 2)), np.zeros((0, 8)), np.zeros((circles, 2)), np.zeros(1), np.zeros((shifts, 2))
-    return StepLog(*columns, progress, *sums)
+    return StepLog(counts[0], counts[1], theta, counts[2], counts[3], progress, *sums)
 
 
 def some_steps(log: StepLog, first: int, count: int, work: int, is_watched: bool) -> StepLog:
-    """`count` rows of a log from `first` on, as views, for a call that ends after this work, in relaxations."""
+    """`count` rows of a log from `first` on, as views, for a call that ends after `work` relaxations."""
     progress = np.array([0, work, 0, is_watched, 1, 0])
-    return StepLog(*(column[first : first + count] for column in log[:5]), progress, *log[6:])
+    return StepLog(*[column[first : first + count] for column in log[:5]], progress, *log[6:])
 
 
 @njit(cache=True)

@@ -8,9 +8,9 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.state.arrays import LIMITS, Contacts, no_contacts
-from deep_contact.state.checks import check_limits, check_state, check_types
+from deep_contact.state.checks import check_limits, check_types, with_checked_arrays
 from deep_contact.state.fields import UNIT, make_bodies
-from deep_contact.state.state import State, StateWithContacts
+from deep_contact.state.state import State, StateWithContacts, changed
 from deep_contact.state.validation import warn
 from deep_contact.stepping.problem import contacts_of
 
@@ -35,11 +35,11 @@ def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
     """
     check_types(state)
     if not (has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
-        state = check_limits(check_state(state))
+        state = check_limits(with_checked_arrays(state))
     elif not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
         check_limits(state)
     if state.contacts is None:
-        state = state.replace(contacts=contacts_of(state))
+        state = changed(state, contacts=contacts_of(state))
         _warn_of_coincidence(state)
         _warn_of_outside(state)
     elif state.solved and not (of_step or state.holds_solution):
@@ -68,7 +68,7 @@ def find_contacts(state: State) -> StateWithContacts:
 
 
 def _at_its_begin(state: StateWithContacts) -> StateWithContacts:
-    """The solved state without contacts that came during its step: started from 0, and not touching at its start."""
+    """The solved state without contacts that came during its step: those that started from 0 and do not touch yet."""
     contacts, n = state.contacts, state.bodies.count
     later = (contacts.normal_start == 0.0) & (contacts.tangent_start == 0.0)
     if later.any():
@@ -80,8 +80,8 @@ def _at_its_begin(state: StateWithContacts) -> StateWithContacts:
 
 def _warn_of_coincidence(state: StateWithContacts) -> None:
     """Warn if two circles of a scene nearly coincide, so that chance decides the direction in which they separate."""
-    bodies, (a, b) = state.bodies, state.contacts[:2]
-    a, b = a[b < bodies.count], b[b < bodies.count]
+    bodies, (a, b), n = state.bodies, state.contacts[:2], state.bodies.count
+    a, b = a[b < n], b[b < n]
     apart = np.hypot(*(bodies.position[b] - bodies.position[a]).T)
     near = apart < COINCIDENT * np.minimum(bodies.radius[a], bodies.radius[b])
     for i in np.flatnonzero(near)[:1]:

@@ -130,11 +130,11 @@ def started(problem: StepProblem, contacts: Contacts, friction: float | None) ->
 
 def contacts_of(state: State) -> Contacts:
     """The contacts at the state's positions, with zero impulses."""
-    bodies, world = native(state).bodies, state.world
-    segments = segments_in_grid(world, reach_of(state, state.scales)) if world.segments else None
-    mass = bodies.mass if bodies.is_fixed.any() else None
-    walls, cells = Walls(world.box, state.scales.wall_skin), make_cells(bodies.count)
-    buffer = make_contacts(4 * bodies.count + 64)
+    bodies, world, scales = native(state).bodies, state.world, state.scales
+    segments = segments_in_grid(world, reach_of(state, scales)) if world.segments else None
+    mass, n = bodies.mass if bodies.is_fixed.any() else None, bodies.count
+    walls, cells = Walls(world.box, scales.wall_skin), make_cells(n)
+    buffer = make_contacts(4 * n + 64)
     found = find_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
     # Bodies and geometry are copied, since they lie in a larger buffer. The four arrays of impulses are set to zero.
     return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
