@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.analysis.lcp import ContactProblem, check_problem, contact_problem, natural_residual
-from deep_contact.analysis.matrix_solvers import Blocks, blocks_of, solve_problem, sweep, velocities
+from deep_contact.analysis.matrix_solvers import Blocks, blocks_of, solve_problem, sweep_matrix, velocities
 from deep_contact.analysis.proximal_path import OPEN, SLIP_DOWN, SLIP_UP, STICK, follow
 from deep_contact.compiled import njit
 from deep_contact.solvers import PGS, NesterovPGS
@@ -228,7 +228,7 @@ def _swept(blocks: Blocks, impulse, sweeps):
     """The impulses after sweeps of PGS, (m, 2), cut to the cone: λ_t leaves it if λ_n falls within a sweep."""
     impulse = impulse.copy()
     for _ in range(sweeps):
-        sweep(blocks, impulse)
+        sweep_matrix(blocks, impulse)
     for i in range(impulse.shape[0]):
         bound = blocks.mu[i] * impulse[i, 0]
         impulse[i, 1] = max(-bound, min(impulse[i, 1], bound))

@@ -82,7 +82,7 @@ def gather(blocks, impulse, i):
 
 
 @njit(cache=True)
-def sweep(blocks, impulse):
+def sweep_matrix(blocks, impulse):
     """A sweep over all contacts, in place, the friction row before the normal row. Returns θ, N·s."""
     theta = 0.0
     for i in range(impulse.shape[0]):
@@ -117,7 +117,7 @@ def _relax(blocks, impulse, tolerance, theta, has_momentum):
     flat = impulse.reshape(impulse.size)
     last, swept_from, memory = flat.copy(), flat.copy(), nesterov.FIRST_MEMORY
     for k in range(theta.shape[0]):
-        theta[k] = sweep(blocks, impulse)
+        theta[k] = sweep_matrix(blocks, impulse)
         if is_over(theta[k], tolerance) or k + 1 == theta.shape[0]:
             return k + 1
         if has_momentum:

@@ -128,7 +128,9 @@ class Description(NamedTuple):
     start: np.ndarray  # the impulses to correct, Builtin's, (m, 2), N·s
 
 
-def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepProblem | None = None) -> Description:
+def description_of(
+    state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepProblem | None = None
+) -> Description:
     """The description of a state with contacts for the network.
 
     symmetry: 0 to 7, for training: from 4 on x is mirrored, then `symmetry` mod 4 quarter turns follow. problem: the

@@ -18,7 +18,7 @@ from typing import Any, overload
 import numpy as np
 
 from deep_contact.cnn.convolution import Program
-from deep_contact.cnn.far_field import COARSENING, FarFieldSpec, correct, describe
+from deep_contact.cnn.far_field import COARSENING, FarFieldSpec, correct, description_of
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, read_model, weights_of
 from deep_contact.cnn.registry import network_file
@@ -221,7 +221,7 @@ class FarFieldModel(LearnedModel):
         return super().predict(state, project=project, problem=problem)
 
     def seen(self, state, problem=None):
-        description = describe(state, self.spec, problem=problem)
+        description = description_of(state, self.spec, problem=problem)
         return description.image, lambda image: correct(image, description).T
 
     def _output_shape(self, shape):

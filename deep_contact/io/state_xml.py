@@ -18,7 +18,7 @@ import numpy as np
 from deep_contact.io import xml_tree
 from deep_contact.io.files import read_bytes, write_bytes
 from deep_contact.io.old_dialects import BODY, CONTACT, modernise
-from deep_contact.io.xml_tree import Rows, StateFileError, expect, fault, read_integer, read_number, read_text
+from deep_contact.io.xml_tree import StateFileError, XmlRows, expect, fault, read_integer, read_number, read_text
 from deep_contact.solvers import METHODS, solver_from
 from deep_contact.state.arrays import SIDES, WALL_NORMALS, Bodies, Contacts, corners, no_contacts
 from deep_contact.state.checks import check_state
@@ -113,11 +113,11 @@ def _read_tree(root, source: str) -> State:
     settings, world = _read_settings(root, parts)
     circles, box_body, rank = _number_bodies(xml_tree.elements_of(parts.get("bodies"), "body"), is_old)
     world |= _read_segments(xml_tree.elements_of(parts.get("segments"), "segment"), rank)
-    bodies = _read_bodies(Rows(circles, BODY | {"shape": "value radius"}))
+    bodies = _read_bodies(XmlRows(circles, BODY | {"shape": "value radius"}))
     box = _read_box(root, box_body, bodies, is_old)
     contacts = None
     if "contacts" in parts:
-        rows = Rows(xml_tree.elements_of(parts["contacts"], "contact"), CONTACT)
+        rows = XmlRows(xml_tree.elements_of(parts["contacts"], "contact"), CONTACT)
         contacts = _read_contacts(rows, bodies, box, rank, is_old)
     try:
         return check_state(State(world=World(box=box, **world), bodies=bodies, contacts=contacts, **settings))
@@ -203,7 +203,7 @@ def _number_bodies(bodies, is_old: bool):
     return list(free.values()), next(iter(fixed.values()), None), rank
 
 
-def _read_bodies(rows: Rows) -> Bodies:
+def _read_bodies(rows: XmlRows) -> Bodies:
     mass, radius = rows.numbers("mass", "value"), rows.numbers("shape", "radius")
     is_fixed = np.array([element.get("type") == "fixed" for element in rows.elements], bool)
     rows.refuse((mass <= 0) & ~is_fixed, "mass", "value", "a mass > 0")
@@ -258,7 +258,7 @@ def _read_box(root, body, bodies: Bodies, is_old: bool) -> tuple:
 # ---- reading: contacts ----
 
 
-def _read_contacts(rows: Rows, bodies: Bodies, box, rank: dict, is_old: bool) -> Contacts:
+def _read_contacts(rows: XmlRows, bodies: Bodies, box, rank: dict, is_old: bool) -> Contacts:
     if not rows.elements:
         return no_contacts()
     n = bodies.count

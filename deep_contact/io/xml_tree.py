@@ -155,7 +155,7 @@ def by_index(elements) -> dict:
     return numbered
 
 
-class Rows:
+class XmlRows:
     """Elements of one kind with their children by tag, read by columns.
 
     tags: tag of a child -> its attributes, such as "x y". Other tags and attributes are refused.

@@ -120,7 +120,7 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
     if run is None:
         solver, accuracy, warm_start, sleep = how
         run = Simulator(state, solver=solver, accuracy=accuracy, warm_start=warm_start, sleep=sleep, push=options.push)
-    is_driven, every, done = record is not None and run._inputs.drive is not None, record or steps + 1, 0
+    is_driven, every, done = record is not None and run._inputs.actuation is not None, record or steps + 1, 0
     n, is_shifted = state.bodies.count, record is not None and not is_driven and state.world.restitution > 0.0
     loads_of = 4 + len(state.world.segments) if forces else 0
     log = make_log(steps, loads_of, n if is_driven else 0, n if is_shifted else 0)

@@ -174,20 +174,20 @@ class Simulator:
         It is possible if the same segments move as before. With a preset, no segment may be faster than when the preset
         chose the solver. Returns whether the velocities were set.
         """
-        drive, world = self._inputs.drive, self._scene.world
+        actuation, world = self._inputs.actuation, self._scene.world
         most = LIMITS["world.segment_velocities"][1]
         if self._options.accuracy is not None or self._options.is_anew:
             most = self._fastest_wall
         velocities = checked_velocities(segment_velocities, len(world.segments))
         wall = np.array(velocities).reshape(-1, 4)
-        if drive is None or wall.shape != drive.wall.shape or np.abs(wall).max(initial=0.0) > most:
+        if actuation is None or wall.shape != actuation.wall.shape or np.abs(wall).max(initial=0.0) > most:
             return False
-        if (wall.any(axis=1) != drive.wall.any(axis=1)).any():
+        if (wall.any(axis=1) != actuation.wall.any(axis=1)).any():
             return False
         self._steps.wake()
         self._scene = changed(self._scene, world=changed(world, segment_velocities=velocities))
         self._origin = self._now
-        drive.wall[:] = wall
+        actuation.wall[:] = wall
         return True
 
     def add(self, bodies: Bodies) -> np.ndarray:
@@ -251,8 +251,8 @@ class Simulator:
             self._scene = scene = changed(scene, push=(np.zeros((n, 2)), np.zeros(n)))
             self._inputs = step_input(scene, solver, scales)
         self._push = scene.push
-        drive = self._inputs.drive
-        self._fastest_wall = 0.0 if drive is None else np.abs(drive.wall).max(initial=0.0)
+        actuation = self._inputs.actuation
+        self._fastest_wall = 0.0 if actuation is None else np.abs(actuation.wall).max(initial=0.0)
         self._moved = tuple(bodies[:4])  # arrays that a step changes
         self._never_change = tuple(map(frozen, bodies[4:]))
         if scene.world.segment_velocities:
@@ -278,7 +278,7 @@ class Simulator:
     def _one_step(self) -> StepLog:
         """A log of one step, whose arrays the next step uses again."""
         log = self._log
-        log.sweeps[0] = log.relaxations[0] = log.parts[0] = log.progress[DONE] = 0
+        log.sweeps[0] = log.relaxations[0] = log.substeps[0] = log.progress[DONE] = 0
         log.progress[WORK] = self._work
         return log
 
@@ -329,11 +329,11 @@ class Simulator:
             if scene.world.restitution > 0.0:
                 log = log._replace(shifts=np.zeros((scene.bodies.count, 2)))
         begun = time.perf_counter()
-        following, received = self._steps(inputs, contacts, log, problem)
+        following, pair_impulses = self._steps(inputs, contacts, log, problem)
         if len(log.contacts) > 1:  # how a run is divided changes no bit of it
             seconds = time.perf_counter() - begun
             self._work = min(MOST_WORK, 2 * self._work, 1 + int(self._work * SECONDS / seconds))
-        done = int(log.progress[DONE]) // inputs.parts
+        done = int(log.progress[DONE]) // inputs.substeps
         step, dt, origin = before.step + done, scene.dt, self._origin
         if not log.progress[FINITE]:
             _raise_diverged(scene.bodies, step)
@@ -348,8 +348,8 @@ class Simulator:
         now = step * dt if is_even else origin.time + (step - origin.step) * dt
         if is_watched:
             theta = self._steps.memory(inputs).theta[: log.progress[LAST_SWEEPS]]
-            is_one_solve = log.parts[0] == 1 and scene.world.restitution == 0.0
-            solved = Contacts(*map(frozen, contacts if is_one_solve else of_whole_step(contacts, received)))
+            is_one_solve = log.substeps[0] == 1 and scene.world.restitution == 0.0
+            solved = Contacts(*map(frozen, contacts if is_one_solve else of_whole_step(contacts, pair_impulses)))
             fields = {"world": world, "bodies": bodies, "contacts": solved, "push": push, "solved": True}
             seen = changed(scene, **fields, step=before.step, time=before.time)
             of_step = frozen(log.shifts) if len(log.shifts) else None
@@ -364,7 +364,7 @@ class Simulator:
         push, solver, problem = self._options.push, self._scene.solver, None
         if callable(push):
             self._push = force, torque = checked_push(push(read_only(self.state)), self._scene.bodies.count)
-            self._inputs = self._inputs._replace(drive=self._inputs.drive._replace(force=force, torque=torque))
+            self._inputs = self._inputs._replace(actuation=self._inputs.actuation._replace(force=force, torque=torque))
             if self._steps.sleep is not None:
                 wake_pushed(contacts, self._steps.sleep, self._inputs)
         if not isinstance(self._start, (Builtin, NoStart)):

@@ -16,7 +16,7 @@ from deep_contact.solvers.batches import BLOCKS, CONTACTS
 from deep_contact.state.constants import POSITION_TOLERANCE
 from deep_contact.stepping import broad_phase, stay_inside
 from deep_contact.stepping.contacts import Walls, carry_impulses, find_pairs, mass_if_fixed, write_geometry
-from deep_contact.stepping.context import part_of
+from deep_contact.stepping.context import substep_of
 from deep_contact.stepping.convergence import all_finite, is_over
 from deep_contact.stepping.impacts import logged_rebound
 from deep_contact.stepping.interface import Loop, SolverOptions, register, tolerance_argument
@@ -28,7 +28,7 @@ from deep_contact.stepping.log import (
     impulses_of,
     is_asked,
     log_impulses,
-    log_part,
+    log_substep,
     log_work,
 )
 from deep_contact.stepping.motion import integrate_positions, integrate_velocities
@@ -37,7 +37,7 @@ from deep_contact.stepping.position_correction import correct_tiles, fill_centre
 from deep_contact.stepping.rows import ARM_A, ARM_B, CONTRACT, N_X, N_Y, NORMAL, NORMAL_MASS, TANGENT, TANGENT_MASS
 from deep_contact.stepping.segment_grid import moved_segments
 from deep_contact.stepping.segments import positions_before
-from deep_contact.stepping.substeps import fly_on, part_by_motion
+from deep_contact.stepping.substeps import fly_on, substep_by_motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,107 +139,112 @@ def correct_positions_in_batches(plan, tiles, bodies, scales, sweeps):
     take_centres(centre, bodies)
 
 
-class _RoomType(StructureType):
+class _BatchWorkspaceType(StructureType):
     """Numba's type of a `Room`."""
 
 
-class Room(Structure):
+class BatchWorkspace(Structure):
     """Workspace that the steps of a run pass on. A step replaces a field that is too small.
 
     plan: `BatchPlan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this step. memory:
-    `StepMemory`. received: of `StepLog`.
+    `StepMemory`. pair_impulses: of `StepLog`.
     """
 
 
-define(Room, _RoomType, ("plan", "tiles", "solved", "contacts", "memory", "received"))
+define(BatchWorkspace, _BatchWorkspaceType, ("plan", "tiles", "solved", "contacts", "memory", "received"))
 
 
 @njit(cache=True)
-def make_room(contacts, setup):
+def make_batch_workspace(contacts, setup):
     """A `Room` for steps that start from these contacts. setup: `StepSetup`."""
     memory = setup.memory
     n = memory.cells.cell.shape[0]
     plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1)
-    return Room(plan, tiles, contacts, contacts, memory, np.zeros((0, 8)))
+    return BatchWorkspace(plan, tiles, contacts, contacts, memory, np.zeros((0, 8)))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance_in_batches(setup, contacts, room, log, drive):
-    """`algorithm.advance` for `BatchedPGS`. room: `Room`, which each call passes on to the next."""
+def advance_in_batches(setup, contacts, workspace, log, actuation):
+    """`algorithm.advance` for `BatchedPGS`. workspace: `Room`, which each call passes on to the next."""
     step, options = setup.step, setup.options
-    room.contacts, room.memory, room.received = contacts, setup.memory, log.received
-    if drive is not None:
-        step = part_of(step, moved_segments(step.segments, drive, 0.0))
-    part, turn, buffers = step, 0, room.memory.contacts
-    for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
+    workspace.contacts, workspace.memory, workspace.pair_impulses = contacts, setup.memory, log.pair_impulses
+    if actuation is not None:
+        step = substep_of(step, moved_segments(step.segments, actuation, 0.0))
+    substep, turn, buffers = step, 0, workspace.memory.contacts
+    for j in range(log.progress[DONE], step.substeps * log.contacts.shape[0]):
         if step.motion.most > 1:
-            part = part_by_motion(step, part, room.memory.cells, drive)
-            fly_on(step, part, room.contacts, step.dt - part.dt, drive, log.shifts)
-        for _ in range(part.parts // step.parts):
+            substep = substep_by_motion(step, substep, workspace.memory.cells, actuation)
+            fly_on(step, substep, workspace.contacts, step.dt - substep.dt, actuation, log.shifts)
+        for _ in range(substep.substeps // step.substeps):
             turn = 1 - turn
-            segments = do_part_in_batches(part, options, room, buffers[turn], log, j // step.parts, drive)
-            if drive is not None:
-                part, step = part_of(part, segments), part_of(step, segments)
+            segments = do_substep_in_batches(
+                substep, options, workspace, buffers[turn], log, j // step.substeps, actuation
+            )
+            if actuation is not None:
+                substep, step = substep_of(substep, segments), substep_of(step, segments)
         if step.motion.most > 1:
-            fly_on(step, part, room.contacts, part.dt - step.dt, drive, log.shifts)
+            fly_on(step, substep, workspace.contacts, substep.dt - step.dt, actuation, log.shifts)
         log.progress[DONE] = j + 1
-        if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
+        if log.progress[WORK] <= 0 and (j + 1) % step.substeps == 0:
             break
     walls = Walls(step.box, step.scales.wall_skin)
-    write_geometry(step.bodies.position, step.bodies.radius, walls, step.segments, room.contacts, 0)
+    write_geometry(step.bodies.position, step.bodies.radius, walls, step.segments, workspace.contacts, 0)
     log.progress[FINITE] = all_finite(step.bodies.position)
-    return room.contacts, room.received
+    return workspace.contacts, workspace.pair_impulses
 
 
 @njit(inline="always")
-def do_part_in_batches(part, options, room, buffer, log, k, drive):
-    """`algorithm.do_part` in batches: velocities, positions, and the contacts of the next substep, in the buffer.
+def do_substep_in_batches(substep, options, workspace, buffer, log, k, actuation):
+    """`algorithm.do_substep` in batches: velocities, positions, and the contacts of the next substep, in the buffer.
 
     Returns the segments after the substep.
     """
-    bodies, box, segments, scales = part.bodies, part.box, part.segments, part.scales
-    n, theta, cells, is_built = bodies.mass.shape[0], room.memory.theta, room.memory.cells, room.memory.is_built
-    plan_part(part, room)
-    plan, tiles, solved = room.plan, room.tiles, room.contacts
+    bodies, box, segments, scales = substep.bodies, substep.box, substep.segments, substep.scales
+    n, theta = bodies.mass.shape[0], workspace.memory.theta
+    cells, is_built = workspace.memory.cells, workspace.memory.is_built
+    plan_substep(substep, workspace)
+    plan, tiles, solved = workspace.plan, workspace.tiles, workspace.contacts
     # Velocities: rebounds, forces, tiles, and the impulses that solve them.
     velocities = tiles.solver_bodies[:n]
     if is_built:
-        take_velocities(room.memory.solver_bodies, velocities)
+        take_velocities(workspace.memory.solver_bodies, velocities)
     else:
-        impacts = logged_rebound(part, part.motion, solved, log, drive)
-        room.received = log_impulses(log, room.received, solved, impacts, n)
-        integrate_velocities(bodies, part.gravity, part.dt, velocities, drive)
+        impacts = logged_rebound(substep, substep.motion, solved, log, actuation)
+        workspace.pair_impulses = log_impulses(log, workspace.pair_impulses, solved, impacts, n)
+        integrate_velocities(bodies, substep.gravity, substep.dt, velocities, actuation)
     fill_centres(bodies, tiles.centre[:n])
-    start_blocks(part, solved, plan, tiles, room.memory.rows, is_built, drive)
-    sweeps = relax_tiles(options.settings, plan, tiles, part.friction, theta)
+    start_blocks(substep, solved, plan, tiles, workspace.memory.rows, is_built, actuation)
+    sweeps = relax_tiles(options.settings, plan, tiles, substep.friction, theta)
     if sweeps > 0 and not all_finite(velocities):
         theta[sweeps - 1] = np.nan
     for block in range(plan.count[BLOCKS]):
-        batches.store_block(plan, tiles, solved, block, part.parts)
+        batches.store_block(plan, tiles, solved, block, substep.substeps)
     # Positions: of segments and of circles, and position correction.
-    if drive is not None:
-        log_work(part, solved, velocities, log)
-        batches.move_points(plan, tiles, part.dt)
-        segments = moved_segments(segments, drive, part.dt)
+    if actuation is not None:
+        log_work(substep, solved, velocities, log)
+        batches.move_points(plan, tiles, substep.dt)
+        segments = moved_segments(segments, actuation, substep.dt)
     before = positions_before(bodies, segments)
-    integrate_positions(bodies, velocities, part, segments, drive, log.shifts)
+    integrate_positions(bodies, velocities, substep, segments, actuation, log.shifts)
     correct_positions_in_batches(plan, tiles, bodies, scales, options.position_sweeps)
-    log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
+    log_substep(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
     if is_asked(log):
-        room.received = log_impulses(log, room.received, solved, impulses_of(solved, 1.0 / part.parts), n)
+        workspace.pair_impulses = log_impulses(
+            log, workspace.pair_impulses, solved, impulses_of(solved, 1.0 / substep.substeps), n
+        )
     # The contacts of the next substep. Logs and impacts read the geometry of all contacts, tiles that of walls.
-    least = 0 if part.restitution > 0.0 or is_asked(log) or drive is not None else n
+    least = 0 if substep.restitution > 0.0 or is_asked(log) or actuation is not None else n
     position, radius, walls = bodies.position, bodies.radius, Walls(box, scales.wall_skin)
-    passed = stay_inside.hold(bodies, before, walls, segments, solved, drive, part.dt)
+    passed = stay_inside.clamp_inside(bodies, before, walls, segments, solved, actuation, substep.dt)
     broad_phase.refresh_list(position, radius, cells, 0.0)
-    mass = mass_if_fixed(bodies, drive)
-    room.contacts = find_pairs(position, radius, mass, walls, segments, cells, buffer)
-    write_geometry(position, radius, walls, segments, room.contacts, least)
-    if drive is not None:
-        room.contacts = without_passed(room.contacts, bodies, segments, drive, log.progress)
+    mass = mass_if_fixed(bodies, actuation)
+    workspace.contacts = find_pairs(position, radius, mass, walls, segments, cells, buffer)
+    write_geometry(position, radius, walls, segments, workspace.contacts, least)
+    if actuation is not None:
+        workspace.contacts = without_passed(workspace.contacts, bodies, segments, actuation, log.progress)
         if passed >= 0:
             log.progress[PASSED] = passed + 1
-    carry_impulses(solved, room.contacts, options.carry)
+    carry_impulses(solved, workspace.contacts, options.carry)
     return segments
 
 
@@ -252,20 +257,20 @@ def take_velocities(solver_bodies, velocities):
 
 
 @njit(cache=True, error_model="numpy")
-def plan_part(part, room):
+def plan_substep(substep, workspace):
     """Plan the batches of the room's contacts, and allocate their tiles if needed, in place."""
-    n, contacts = part.bodies.mass.shape[0], room.contacts
-    if not batches.is_plan_of(room.plan, n, contacts, room.solved):
-        room.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, room.plan)
-    room.tiles = batches.with_room(room.plan, room.tiles)
-    room.solved = contacts
+    n, contacts = substep.bodies.mass.shape[0], workspace.contacts
+    if not batches.is_plan_of(workspace.plan, n, contacts, workspace.solved):
+        workspace.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, workspace.plan)
+    workspace.tiles = batches.with_room(workspace.plan, workspace.tiles)
+    workspace.solved = contacts
 
 
 @njit(cache=True, error_model="numpy")
-def start_blocks(step, contacts, plan, tiles, rows, is_built, drive):
+def start_blocks(step, contacts, plan, tiles, rows, is_built, actuation):
     """Fill the rows of all blocks and apply their starting impulses, block by block, in place on the tiles."""
     for k in plan.order[: plan.count[BLOCKS]]:
-        batches.place_block(step, contacts, plan, tiles, k, drive)
+        batches.place_block(step, contacts, plan, tiles, k, actuation)
         if is_built:
             batches.place_rows(rows, plan, tiles, k)
         begin, end = plan.first[k], plan.first[k + 1]
@@ -280,11 +285,11 @@ class _Run:
     def __init__(self, solver: BatchedPGS):
         self._room, self._plain, self._driven = None, Direct(advance_in_batches), Direct(advance_in_batches)
 
-    def __call__(self, setup, contacts, motion, sleep, log, drive):
+    def __call__(self, setup, contacts, motion, sleep, log, actuation):
         """Arguments and result are those of `algorithm.advance`."""
         if self._room is None:
-            self._room = make_room(contacts, setup)
-        return (self._plain if drive is None else self._driven)(setup, contacts, self._room, log, drive)
+            self._room = make_batch_workspace(contacts, setup)
+        return (self._plain if actuation is None else self._driven)(setup, contacts, self._room, log, actuation)
 
 
 _LOOP = Loop(BatchSettings, relax_in_batches)

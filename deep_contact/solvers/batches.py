@@ -252,7 +252,7 @@ def contacts_of_block(plan, k):
 
 
 @njit(cache=True, error_model="numpy")
-def place_block(step, contacts, plan, tiles, k, drive):
+def place_block(step, contacts, plan, tiles, k, actuation):
     """Write the bodies and the starting impulses of a block's contacts to their places.
 
     For contacts with walls and segments, also write the row data that `fill_rows` cannot compute. step: `StepInput`.
@@ -261,10 +261,10 @@ def place_block(step, contacts, plan, tiles, k, drive):
     body_a, body_b, place = contacts.body_a, contacts.body_b, plan.place
     normal, normal_start, tangent_start = contacts.normal, contacts.normal_start, contacts.tangent_start
     ground, (begin, end), last = n + 5 * k, contacts_of_block(plan, k), n + 3
-    share, eight = 1.0 / step.parts, np.uint64(WIDTH)
+    share, eight = 1.0 / step.substeps, np.uint64(WIDTH)
     fill_ground(step.box, step.scales, tiles.centre[ground : ground + 5])
     if plan.own[k + 1] > plan.own[k]:
-        place_segments(step, contacts, plan, tiles, k, drive)
+        place_segments(step, contacts, plan, tiles, k, actuation)
     own = np.uint32(plan.own[k])
     for i in range(begin, end):
         t, j = np.uint64(place[i]) // eight, np.uint64(place[i]) % eight
@@ -299,7 +299,7 @@ def move_points(plan, tiles, dt):
 
 
 @njit(cache=True)
-def place_segments(step, contacts, plan, tiles, k, drive):
+def place_segments(step, contacts, plan, tiles, k, actuation):
     """Write the contact points of a block on segments, each as a wall of its own (`fill_ground`)."""
     n, row, (begin, end), skin = plan.count[CIRCLES], plan.own[k], contacts_of_block(plan, k), step.scales.wall_skin
     centre, solver_bodies, place = tiles.centre, tiles.solver_bodies, plan.place
@@ -314,9 +314,9 @@ def place_segments(step, contacts, plan, tiles, k, drive):
             centre[row, 2], centre[row, 3] = skin, 0.0
             solver_bodies[row, :] = 0.0
             solver_bodies[row, V_S] = 1.0  # see `rows.move_surfaces`
-            if drive is not None:
+            if actuation is not None:
                 x, y = contacts.position[i, 0], contacts.position[i, 1]
-                solver_bodies[row, V_X], solver_bodies[row, V_Y] = wall_velocity(line, drive.wall, s, x, y)
+                solver_bodies[row, V_X], solver_bodies[row, V_Y] = wall_velocity(line, actuation.wall, s, x, y)
             tiles.data[place[i] // WIDTH, ARM_B, place[i] % WIDTH] = surface_velocity(line[s], n_x, n_y)
             row += 1
 
@@ -418,13 +418,13 @@ def fill_tiles(rows, solver_bodies, plan, tiles):
 
 
 @njit(cache=True)
-def store_block(plan, tiles, contacts, k, parts):
-    """Write the solved impulses of a block, times the number `parts` of substeps, into the contacts, in place."""
+def store_block(plan, tiles, contacts, k, substeps):
+    """Write the solved impulses of a block, times the number `substeps` of substeps, into the contacts, in place."""
     begin, end = contacts_of_block(plan, k)
     for i in range(begin, end):
         t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
-        contacts.normal_impulse[i] = parts * tiles.impulse[t, NORMAL, j]
-        contacts.tangent_impulse[i] = parts * tiles.impulse[t, TANGENT, j]
+        contacts.normal_impulse[i] = substeps * tiles.impulse[t, NORMAL, j]
+        contacts.tangent_impulse[i] = substeps * tiles.impulse[t, TANGENT, j]
 
 
 @njit(cache=True)

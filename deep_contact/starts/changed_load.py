@@ -21,7 +21,7 @@ from deep_contact.state.scales import mean, theta_tolerance
 from deep_contact.state.state import State, StateWithContacts, changed
 from deep_contact.state.validation import number
 from deep_contact.state.world import World
-from deep_contact.stepping.inputs import drive_of
+from deep_contact.stepping.inputs import actuation_of
 from deep_contact.stepping.metrics import energy_norm
 from deep_contact.stepping.problem import StepProblem, solve, started, step_problem
 from deep_contact.stepping.rows import best_share, projected
@@ -166,5 +166,5 @@ def with_shifted_flights(state: StateWithContacts, change: float) -> StateWithCo
     if change == 0.0 or state.world.restitution == 0.0 or state.step == 0:
         return state
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy())
-    shift_flights(bodies, state.contacts, state.world.gravity, change, drive_of(state), np.zeros((0, 2)))
+    shift_flights(bodies, state.contacts, state.world.gravity, change, actuation_of(state), np.zeros((0, 2)))
     return changed(state, bodies=bodies)

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from deep_contact.compiled import njit
 from deep_contact.stepping import sleeping
-from deep_contact.stepping.contacts import Walls, carry_impulses, find_contacts, mass_if_fixed
-from deep_contact.stepping.context import part_of
+from deep_contact.stepping.contacts import Walls, carry_impulses, detect_contacts, mass_if_fixed
+from deep_contact.stepping.context import substep_of
 from deep_contact.stepping.convergence import all_finite
 from deep_contact.stepping.impacts import logged_rebound
 from deep_contact.stepping.interface import relax
@@ -21,21 +21,21 @@ from deep_contact.stepping.log import (
     impulses_of,
     is_asked,
     log_impulses,
-    log_part,
+    log_substep,
     log_work,
 )
 from deep_contact.stepping.motion import integrate_positions, integrate_velocities
 from deep_contact.stepping.passing import without_passed
 from deep_contact.stepping.position_correction import correct_positions
-from deep_contact.stepping.rows import apply_impulses, contact_rows, move_walls, room_for_walls, store_impulses
+from deep_contact.stepping.rows import apply_impulses, contact_rows, move_walls, store_impulses, with_wall_bodies
 from deep_contact.stepping.segment_grid import moved_segments
 from deep_contact.stepping.segments import positions_before
-from deep_contact.stepping.stay_inside import hold
-from deep_contact.stepping.substeps import fly_on, part_by_motion
+from deep_contact.stepping.stay_inside import clamp_inside
+from deep_contact.stepping.substeps import fly_on, substep_by_motion
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance(setup, contacts, motion, sleep, log, drive):
+def advance(setup, contacts, motion, sleep, log, actuation):
     """Do as many steps as the log has rows, or fewer if its bound on the work ends the call. Bodies move in place.
 
     A step has as many substeps as the solver asks for. Motion may divide these further (`substeps`). Code for
@@ -44,89 +44,92 @@ def advance(setup, contacts, motion, sleep, log, drive):
     call has the code, and goes on from there.
     The conditions on motion and on actuation stand in this function, because a function that returned its argument
     unchanged would count references to some fifty arrays.
-    Returns the contacts at the end, in memory that the next call overwrites, and `StepLog.received`.
-    setup: `StepSetup`. motion: `Motion` of its step; None without optional features (`context.with_rare`). drive:
-    `Drive` of its step, or None. sleep: `SleepMemory`, or None if no circle may sleep. log: `StepLog`, filled in place.
+    Returns the contacts at the end, in memory that the next call overwrites, and `StepLog.pair_impulses`.
+    setup: `StepSetup`. motion: `Motion` of its step; None without optional features (`context.with_optional`).
+    actuation: `Actuation` of its step, or None. sleep: `SleepMemory`, or None if no circle may sleep. log: `StepLog`,
+    filled in place.
     """
     step, memory = setup.step, setup.memory
-    if drive is not None:
-        step = part_of(step, moved_segments(step.segments, drive, 0.0))
-    part, turn, received = step, 0, log.received
-    for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
-        if sleeping.all_asleep(sleep, drive):
-            log_part(log, j // step.parts, 0, 0, memory.theta, 0)
+    if actuation is not None:
+        step = substep_of(step, moved_segments(step.segments, actuation, 0.0))
+    substep, turn, pair_impulses = step, 0, log.pair_impulses
+    for j in range(log.progress[DONE], step.substeps * log.contacts.shape[0]):
+        if sleeping.all_asleep(sleep, actuation):
+            log_substep(log, j // step.substeps, 0, 0, memory.theta, 0)
             if is_asked(log):
-                impulse, n = impulses_of(contacts, 1.0 / step.parts), step.bodies.mass.shape[0]
-                received = log_impulses(log, received, contacts, impulse, n)
+                impulse, n = impulses_of(contacts, 1.0 / step.substeps), step.bodies.mass.shape[0]
+                pair_impulses = log_impulses(log, pair_impulses, contacts, impulse, n)
             log.progress[DONE] = j + 1
             continue
         if motion is not None:
-            part = part_by_motion(step, part, memory.cells, drive)
-            fly_on(step, part, contacts, step.dt - part.dt, drive, log.shifts)
-        for _ in range(part.parts // step.parts):
+            substep = substep_by_motion(step, substep, memory.cells, actuation)
+            fly_on(step, substep, contacts, step.dt - substep.dt, actuation, log.shifts)
+        for _ in range(substep.substeps // step.substeps):
             turn = 1 - turn
-            is_whole, contacts, received, segments = do_part(
-                part, motion, contacts, sleep, setup, log, received, j // step.parts, turn, drive
+            is_whole, contacts, pair_impulses, segments = do_substep(
+                substep, motion, contacts, sleep, setup, log, pair_impulses, j // step.substeps, turn, actuation
             )
             if not is_whole:
-                return contacts, received
-            if drive is not None:
-                part, step = part_of(part, segments), part_of(step, segments)
+                return contacts, pair_impulses
+            if actuation is not None:
+                substep, step = substep_of(substep, segments), substep_of(step, segments)
         if motion is not None:
-            fly_on(step, part, contacts, part.dt - step.dt, drive, log.shifts)
+            fly_on(step, substep, contacts, substep.dt - step.dt, actuation, log.shifts)
         log.progress[DONE] = j + 1
-        if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
+        if log.progress[WORK] <= 0 and (j + 1) % step.substeps == 0:
             break
     log.progress[FINITE] = all_finite(step.bodies.position)
-    return contacts, received
+    return contacts, pair_impulses
 
 
 @njit(inline="always")
-def do_part(part, motion, contacts, sleep, setup, log, received, k, turn, drive):
+def do_substep(substep, motion, contacts, sleep, setup, log, pair_impulses, k, turn, actuation):
     """Do a substep of the k-th step: velocities, positions, and the contacts of the next substep, in buffer `turn`.
 
-    Returns whether the substep was done, and the contacts, `StepLog.received` and the segments after it. If a circle is
-    fast and the code for continuous collision is missing, the substep is not done: the function returns False, and the
-    other values as they were. It is inlined, because a call would count references to all arrays that it passes.
+    Returns whether the substep was done, and the contacts, `StepLog.pair_impulses` and the segments after it. If a
+    circle is fast and the code for continuous collision is missing, the substep is not done: the function returns
+    False, and the other values as they were. It is inlined, because a call would count references to all arrays that it
+    passes.
     """
-    bodies, box, segments, scales, friction = part.bodies, part.box, part.segments, part.scales, part.friction
-    options, memory, n, impacts = setup.options, setup.memory, part.bodies.mass.shape[0], log.loads[:0]
+    bodies, box, segments = substep.bodies, substep.box, substep.segments
+    scales, friction = substep.scales, substep.friction
+    options, memory, n, impacts = setup.options, setup.memory, substep.bodies.mass.shape[0], log.loads[:0]
     solver_bodies, theta, rows, cells = memory.solver_bodies, memory.theta, memory.rows, memory.cells
     active = sleeping.awake_contacts(contacts, sleep)
     # Velocities: rebounds, forces, rows, and the impulses that solve them.
     if not memory.is_built:
-        impacts = logged_rebound(part, motion, active, log, drive)
-        solver_bodies = room_for_walls(solver_bodies, active, n, drive)
-        integrate_velocities(bodies, part.gravity, part.dt, solver_bodies, drive)
-        sleeping.hold_sleeping(solver_bodies, sleep)
-        rows = contact_rows(active, bodies.radius, segments, solver_bodies, rows, friction, 1.0 / part.parts)
-        if drive is not None:
-            move_walls(active, segments, solver_bodies, rows, n, drive)
+        impacts = logged_rebound(substep, motion, active, log, actuation)
+        solver_bodies = with_wall_bodies(solver_bodies, active, n, actuation)
+        integrate_velocities(bodies, substep.gravity, substep.dt, solver_bodies, actuation)
+        sleeping.stop_sleeping(solver_bodies, sleep)
+        rows = contact_rows(active, bodies.radius, segments, solver_bodies, rows, friction, 1.0 / substep.substeps)
+        if actuation is not None:
+            move_walls(active, segments, solver_bodies, rows, n, actuation)
     apply_impulses(rows, solver_bodies, friction)
     sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, memory.workspace)
-    store_impulses(rows, active, part.parts)
+    store_impulses(rows, active, substep.substeps)
     sleeping.store_awake_impulses(active, contacts, sleep)
     # Positions: of segments and of circles, and position correction.
-    if drive is not None:
-        log_work(part, active, solver_bodies, log)
-        segments = moved_segments(segments, drive, part.dt)
+    if actuation is not None:
+        log_work(substep, active, solver_bodies, log)
+        segments = moved_segments(segments, actuation, substep.dt)
     before = positions_before(bodies, segments)
-    if not integrate_positions(bodies, solver_bodies, part, segments, drive, log.shifts):
-        return False, contacts, received, segments
+    if not integrate_positions(bodies, solver_bodies, substep, segments, actuation, log.shifts):
+        return False, contacts, pair_impulses, segments
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
     # The contacts of the next substep, and the circles that sleep in it.
-    walls, mass, buffer = Walls(box, scales.wall_skin), mass_if_fixed(bodies, drive), memory.contacts[turn]
-    passed = hold(bodies, before, walls, segments, contacts, drive, part.dt)
-    following = find_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
-    if drive is not None:
-        following = without_passed(following, bodies, segments, drive, log.progress)
+    walls, mass, buffer = Walls(box, scales.wall_skin), mass_if_fixed(bodies, actuation), memory.contacts[turn]
+    passed = clamp_inside(bodies, before, walls, segments, contacts, actuation, substep.dt)
+    following = detect_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
+    if actuation is not None:
+        following = without_passed(following, bodies, segments, actuation, log.progress)
         if passed >= 0:
             log.progress[PASSED] = passed + 1
     carry_impulses(contacts, following, options.carry)
-    sleeping.wake_and_put_to_sleep(part, following, sleep, drive)
+    sleeping.wake_and_put_to_sleep(substep, following, sleep, actuation)
     # The log.
-    log_part(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
+    log_substep(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
     if is_asked(log):
-        received = log_impulses(log, received, contacts, impulses_of(contacts, 1.0 / part.parts), n)
-        received = log_impulses(log, received, active, impacts, n)
-    return True, following, received, segments
+        pair_impulses = log_impulses(log, pair_impulses, contacts, impulses_of(contacts, 1.0 / substep.substeps), n)
+        pair_impulses = log_impulses(log, pair_impulses, active, impacts, n)
+    return True, following, pair_impulses, segments

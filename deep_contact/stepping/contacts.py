@@ -117,7 +117,7 @@ def write_walls(x, y, reach, box, n, body_b, m):
 
 
 @njit(cache=True, error_model="numpy")
-def find_contacts(position, radius, mass, walls, segments, cells, buffer):
+def detect_contacts(position, radius, mass, walls, segments, cells, buffer):
     """All contacts at these positions, sorted by (body_a, body_b); their impulses and starts are not initialised.
 
     position: (n, 2), m. radius: (n,), m. mass: (n,), kg; None where no circle is fixed. walls: `Walls`. segments:
@@ -245,8 +245,8 @@ def carry_impulses(old, contacts, warm):
 
 
 @njit(cache=True)
-def mass_if_fixed(bodies, drive):
+def mass_if_fixed(bodies, actuation):
     """The masses if circles may be fixed, that is, in a scene with actuation; otherwise None."""
-    if drive is None:
+    if actuation is None:
         return None
     return bodies.mass

@@ -12,7 +12,7 @@ from deep_contact.state.arrays import Bodies, Contacts
 from deep_contact.state.scales import ContactScales
 from deep_contact.stepping.broad_phase import Cells, make_cells
 from deep_contact.stepping.contacts import make_contacts
-from deep_contact.stepping.position_correction import CorrectionRoom, make_correction_room
+from deep_contact.stepping.position_correction import CorrectionWorkspace, make_correction_workspace
 from deep_contact.stepping.rows import Rows, make_rows
 from deep_contact.stepping.segment_grid import NO_SEGMENTS, Segments
 
@@ -24,7 +24,7 @@ class Motion(NamedTuple):
     reach: float  # largest displacement in a part of a circle that is about to hit something, m
 
 
-class Drive(NamedTuple):
+class Actuation(NamedTuple):
     """Kinematics and external force in scenes with moving segments, fixed circles or pushes."""
 
     wall: np.ndarray  # (S, 4): velocities of the ends of the segments, m/s
@@ -36,9 +36,9 @@ class Drive(NamedTuple):
 class StepInput(NamedTuple):
     """Input of steps. The code for a field that is None is not compiled, since None is a type of its own.
 
-    segments, restitution and motion are None if the scene needs none of the three (`with_rare`); with actuation none of
-    them is None. Contacts carry the impulses of a whole step, into however many substeps it is divided; the solve of a
-    substep starts from these impulses divided by the number of substeps.
+    segments, restitution and motion are None if the scene needs none of the three (`with_optional`); with actuation
+    none of them is None. Contacts carry the impulses of a whole step, into however many substeps it is divided; the
+    solve of a substep starts from these impulses divided by the number of substeps.
     """
 
     bodies: Bodies  # moved in place
@@ -48,13 +48,13 @@ class StepInput(NamedTuple):
     friction: float | None  # None, in place of 0, leaves the tangent rows out
     restitution: float | None
     dt: float  # Δt of a substep, s
-    parts: int  # number of substeps of a step: that of the solver, times the factor of motion
+    substeps: int  # number of substeps of a step: that of the solver, times the factor of motion
     scales: ContactScales  # of the state that the steps begin with
     motion: Motion | None = None
-    drive: Drive | None = None  # if it moves segments, their lines are copies for these steps, and move in place
+    actuation: Actuation | None = None  # lines of segments that it moves are copies for these steps, and move in place
 
 
-def with_rare(step: StepInput) -> StepInput:
+def with_optional(step: StepInput) -> StepInput:
     """The input with all optional features: segments, restitution, division by motion and continuous collision."""
     return step._replace(
         segments=NO_SEGMENTS if step.segments is None else step.segments,
@@ -77,7 +77,7 @@ class StepMemory(NamedTuple):
     solver_bodies: np.ndarray  # (n + 4, 4); each step fills them (`motion.integrate_velocities`)
     theta: np.ndarray  # buffer for the θ of one step's sweeps; its length is the largest number of sweeps
     rows: Rows
-    correction: CorrectionRoom
+    correction: CorrectionWorkspace
     cells: Cells
     contacts: tuple[Contacts, Contacts]  # two buffers, which the steps fill in turn
     workspace: object = None  # of the solver (`interface.make_workspace`)
@@ -108,14 +108,14 @@ def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
     """
     return StepMemory(
         np.empty((n + 4, 4)), np.empty(sweeps), make_rows(capacity, friction),
-        make_correction_room(n, capacity), make_cells(n), (make_contacts(capacity), make_contacts(capacity)),
+        make_correction_workspace(n, capacity), make_cells(n), (make_contacts(capacity), make_contacts(capacity)),
     )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
-def part_of(step, segments, parts=1):
+def substep_of(step, segments, substeps=1):
     """The input of one of several equal substeps of a step. step: `StepInput`. segments: at the substep's start."""
     return StepInput(
-        step.bodies, step.box, segments, step.gravity, step.friction, step.restitution, step.dt / parts,
-        step.parts * parts, step.scales, step.motion, step.drive,
+        step.bodies, step.box, segments, step.gravity, step.friction, step.restitution, step.dt / substeps,
+        step.substeps * substeps, step.scales, step.motion, step.actuation,
     )  # fmt: skip

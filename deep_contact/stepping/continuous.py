@@ -132,11 +132,11 @@ def middle_of(values, n):
 
 
 @njit(cache=True, error_model="numpy")
-def collide_fast(step, start, segments, drive, shifts):
+def collide_fast(step, start, segments, actuation, shifts):
     """Let fast circles push on what they meet within a step, in place on positions, and on velocities if e > 0.
 
     step: `StepInput`, whose bodies have moved by Δt v. start: centres before this motion, (n, 2), m. segments: after
-    their motion. drive: `Drive` of the step, or None. shifts: of `StepLog`.
+    their motion. actuation: `Actuation` of the step, or None. shifts: of `StepLog`.
     """
     bodies, n = step.bodies, step.bodies.mass.shape[0]
     rate = moved(bodies.position, start, -1.0)
@@ -147,14 +147,14 @@ def collide_fast(step, start, segments, drive, shifts):
         np.zeros(n, np.int64), bodies.radius, step.box, segments, step.scales,
     )  # fmt: skip
     searches = np.zeros((n, 2), np.bool_)  # whether a circle searches walls and segments, and circles
-    choose_fast(paths, searches, drive, step.dt)
+    choose_fast(paths, searches, actuation, step.dt)
     if not searches.any():
         return
     swept = sort_swept(paths)
     queue = [(np.inf, -1, -1, -1, -1)]
     for i in range(n):
         if searches[i, 0] or searches[i, 1]:
-            find_touch(i, 0.0, searches, paths, swept, queue, drive, step.dt)
+            find_touch(i, 0.0, searches, paths, swept, queue, actuation, step.dt)
     first, second, changed = np.empty(8 * n, np.int64), np.empty(8 * n, np.int64), np.empty(n, np.int64)
     while queue[0][0] <= 1.0:
         time, count = queue[0][0], 0
@@ -163,16 +163,16 @@ def collide_fast(step, start, segments, drive, shifts):
             if paths.touches[i] != touches_i:
                 continue  # circle i has been searched anew since
             if k < n and paths.touches[k] != touches_k:
-                find_touch(i, time, searches, paths, swept, queue, drive, step.dt)
+                find_touch(i, time, searches, paths, swept, queue, actuation, step.dt)
                 continue
             first[count], second[count] = i, k
             count += 1
-        count = push(first[:count], second[:count], time, step, paths, changed, drive, shifts)
+        count = share_momentum(first[:count], second[:count], time, step, paths, changed, actuation, shifts)
         for i in changed[:count]:
             searches[i] = True
             follow(i, paths, swept)
         for i in changed[:count]:
-            find_touch(i, time, searches, paths, swept, queue, drive, step.dt)
+            find_touch(i, time, searches, paths, swept, queue, actuation, step.dt)
     for i in range(n):
         if paths.touches[i] > 0:
             for axis in range(2):
@@ -180,7 +180,7 @@ def collide_fast(step, start, segments, drive, shifts):
 
 
 @njit(cache=True, error_model="numpy")
-def choose_fast(paths, searches, drive, dt):
+def choose_fast(paths, searches, actuation, dt):
     """Mark in `searches`, (n, 2), in place, the fast circles: they search walls and segments, and other circles.
 
     A circle is fast relative to walls and to moving segments near it, or relative to the mean motion of all circles.
@@ -197,18 +197,18 @@ def choose_fast(paths, searches, drive, dt):
         for i in range(n):
             apart = (rate[i, 0] - mean_x) ** 2 + (rate[i, 1] - mean_y) ** 2
             searches[i, 1] = apart > (0.5 * PAIRS * radius[i]) ** 2
-    if drive is not None:
-        choose_near_moving(paths, searches, drive, dt)
+    if actuation is not None:
+        choose_near_moving(paths, searches, actuation, dt)
 
 
 @njit(cache=True, error_model="numpy")
-def choose_near_moving(paths, searches, drive, dt):
+def choose_near_moving(paths, searches, actuation, dt):
     """Mark circles with a long path relative to a moving segment near it, in place: they search walls and segments."""
     start, rate, radius, line = paths.start, paths.rate, paths.radius, paths.segments.line
-    for s in drive.moving:
+    for s in actuation.moving:
         for i in range(radius.shape[0]):
             to_x, to_y = start[i, 0] + rate[i, 0], start[i, 1] + rate[i, 1]
-            x, y = carried(line, drive.wall, s, dt, start[i, 0], start[i, 1])
+            x, y = carried(line, actuation.wall, s, dt, start[i, 0], start[i, 1])
             reach = radius[i] + paths.scales.wall_skin
             if (
                 max(x, to_x) + reach >= min(line[s, 0], line[s, 2])
@@ -306,13 +306,13 @@ def crossing_paths(i, now, paths, swept):
 
 
 @njit(cache=True, error_model="numpy")
-def find_touch(i, now, searches, paths, swept, queue, drive, dt):
+def find_touch(i, now, searches, paths, swept, queue, actuation, dt):
     """Queue the first touches of circle i from time `now` on, as (time, i, partner, touches of both so far)."""
     if paths.touches[i] >= MOST_TOUCHES:
         return
     first = np.inf
     if searches[i, 0] and paths.inverse[i] > 0.0:
-        first, wall = touch_walls(i, now, paths, drive, dt)
+        first, wall = touch_walls(i, now, paths, actuation, dt)
         if first <= 1.0:
             heappush(queue, (first, i, wall, paths.touches[i], 0))
     if searches[i, 1]:
@@ -326,7 +326,7 @@ def find_touch(i, now, searches, paths, swept, queue, drive, dt):
 
 
 @njit(cache=True, error_model="numpy")
-def touch_walls(i, now, paths, drive, dt):
+def touch_walls(i, now, paths, actuation, dt):
     """(time, partner) of the first touch of circle i with a wall or a segment from time `now` on, or (inf, −1)."""
     radius, scales, segments, n = paths.radius[i], paths.scales, paths.segments, paths.radius.shape[0]
     rate_x, rate_y, (x, y) = paths.rate[i, 0], paths.rate[i, 1], place_at(paths, i, now)
@@ -345,16 +345,16 @@ def touch_walls(i, now, paths, drive, dt):
         way = min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y)
         if not is_free(segments.start, segments.grid, *way):
             for s in near_box(segments, *way, np.empty_like(segments.every)):
-                if drive is not None:
-                    if moves(drive.wall, s):
+                if actuation is not None:
+                    if moves(actuation.wall, s):
                         continue
                 time = touch_segment(i, s, now, paths, None, dt)
                 if time < first:
                     first, partner = time, n + 4 + s
-    if drive is not None:
+    if actuation is not None:
         if paths.held[i] != FIRM:
-            for s in drive.moving:
-                time = touch_segment(i, s, now, paths, drive, dt)
+            for s in actuation.moving:
+                time = touch_segment(i, s, now, paths, actuation, dt)
                 if time < first:
                     first, partner = time, n + 4 + s
     return first, partner
@@ -367,26 +367,26 @@ def touching_overlap(radius, scales):
 
 
 @njit(cache=True, error_model="numpy")
-def piece_beside(i, s, now, paths, drive, dt):
+def piece_beside(i, s, now, paths, actuation, dt):
     """((x, y), (m_x, m_y)): start and rest of the path of circle i from time `now` on, relative to segment s, m.
 
-    drive: `Drive` of the step; None for a segment at rest.
+    actuation: `Actuation` of the step; None for a segment at rest.
     """
     (x, y), (to_x, to_y) = place_at(paths, i, now), place_at(paths, i, 1.0)
-    if drive is not None:
-        x, y = carried(paths.segments.line, drive.wall, s, (1.0 - now) * dt, x, y)
+    if actuation is not None:
+        x, y = carried(paths.segments.line, actuation.wall, s, (1.0 - now) * dt, x, y)
     return (x, y), (to_x - x, to_y - y)
 
 
 @njit(cache=True, error_model="numpy")
-def touch_segment(i, s, now, paths, drive, dt):
+def touch_segment(i, s, now, paths, actuation, dt):
     """Time of the first touch of circle i with segment s from time `now` on, in steps, or infinity.
 
-    drive: `Drive` of the step; None for a segment at rest.
+    actuation: `Actuation` of the step; None for a segment at rest.
     """
     line, radius, rest = paths.segments.line, paths.radius[i], 1.0 - now
     reach, (start_x, start_y) = radius + paths.scales.wall_skin, (paths.start[i, 0], paths.start[i, 1])
-    (x, y), (m_x, m_y) = piece_beside(i, s, now, paths, drive, dt)
+    (x, y), (m_x, m_y) = piece_beside(i, s, now, paths, actuation, dt)
     e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
     before = e_x * (y - line[s, 1]) - e_y * (x - line[s, 0])
     after = before + e_x * m_y - e_y * m_x
@@ -395,8 +395,8 @@ def touch_segment(i, s, now, paths, drive, dt):
     far = paths.touches[i] > 0 or m_x * m_x + m_y * m_y > (FAST * radius * rest) ** 2
     if not far or rest <= 0.0:
         return np.inf
-    if drive is not None:
-        start_x, start_y = carried(line, drive.wall, s, dt, start_x, start_y)
+    if actuation is not None:
+        start_x, start_y = carried(line, actuation.wall, s, dt, start_x, start_y)
     touching = reach - touching_overlap(radius, paths.scales)
     least = min(touching, segment_gap(line[s], start_x, start_y)[0], segment_gap(line[s], x, y)[0])
     share, part = time_to_touch(line[s], x, y, m_x, m_y, least)
@@ -449,7 +449,7 @@ def touch_circle(i, k, now, paths):
 
 
 @njit(cache=True, error_model="numpy")
-def push(first, second, time, step, paths, changed, drive, shifts):
+def share_momentum(first, second, time, step, paths, changed, actuation, shifts):
     """Change the paths of circles at simultaneous touches, in place. Returns how many circles `changed` lists.
 
     first, second: a circle and its partner in each touch, (k,) each. A circle shares its mass among its touches.
@@ -459,7 +459,7 @@ def push(first, second, time, step, paths, changed, drive, shifts):
     shares = np.zeros(n)
     for j in range(touches):
         i, k = first[j], second[j]
-        normal[j, 0], normal[j, 1], approach[j] = approach_of(i, k, time, paths, drive, step.dt)
+        normal[j, 0], normal[j, 1], approach[j] = approach_of(i, k, time, paths, actuation, step.dt)
         yield_along(i, k, normal[j], paths, yielding[j])
         for side, c in ((0, i), (1, k)):
             if yielding[j, side, 0] > 0.0:
@@ -479,11 +479,11 @@ def push(first, second, time, step, paths, changed, drive, shifts):
                 for axis in range(2):
                     paths.rate[c, axis] += s * paths.inverse[c] * yielding[j, side, 1 + axis]
         if w_k == 0.0:
-            hold(i, normal[j], 1.0, hold_of(k, paths, drive), paths)
+            hold(i, normal[j], 1.0, hold_of(k, paths, actuation), paths)
         elif w_i == 0.0:
             hold(k, normal[j], -1.0, paths.held[i], paths)
         if step.restitution > 0.0:
-            keep_energy(i, k, (1.0 - time) * s, normal[j], approach[j], yielding[j], step, paths, drive, shifts)
+            keep_energy(i, k, (1.0 - time) * s, normal[j], approach[j], yielding[j], step, paths, actuation, shifts)
     return count
 
 
@@ -527,19 +527,19 @@ def mobility(i, d_x, d_y, paths, result):
 
 
 @njit(inline="always")
-def hold_of(k, paths, drive):
+def hold_of(k, paths, actuation):
     """Hold of body k on a circle: for a wall or segment `CARRIED` or `FIRM`, for a circle its own hold (`held`)."""
     n = paths.radius.shape[0]
     if k < n:
         return paths.held[k]
-    if drive is not None:
-        if k >= n + 4 and moves(drive.wall, k - n - 4):
+    if actuation is not None:
+        if k >= n + 4 and moves(actuation.wall, k - n - 4):
             return CARRIED
     return FIRM
 
 
 @njit(cache=True, error_model="numpy")
-def approach_of(i, k, time, paths, drive, dt):
+def approach_of(i, k, time, paths, actuation, dt):
     """(n_x, n_y, rate): unit normal from circle i to body k, and the rate at which i approaches k, m a step."""
     n, rate = paths.radius.shape[0], paths.rate
     if k < n:
@@ -552,15 +552,15 @@ def approach_of(i, k, time, paths, drive, dt):
         return n_x, n_y, rate[i, 0] * n_x + rate[i, 1] * n_y
     s = k - n - 4
     (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, None, dt)
-    if drive is not None:
-        if moves(drive.wall, s):
-            (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, drive, dt)
+    if actuation is not None:
+        if moves(actuation.wall, s):
+            (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, actuation, dt)
     _, n_x, n_y = segment_gap(paths.segments.line[s], x, y)
     return n_x, n_y, (m_x * n_x + m_y * n_y) / (1.0 - time)
 
 
 @njit(cache=True, error_model="numpy")
-def keep_energy(i, k, impulse, normal, approach, yielding, step, paths, drive, shifts):
+def keep_energy(i, k, impulse, normal, approach, yielding, step, paths, actuation, shifts):
     """Correct the velocity of circle i, or of circle k if that is heavier, in place: a touch has to keep their energy.
 
     The circles have the velocities that gravity and pushes give in a whole step. A touch changes how far they move
@@ -576,8 +576,8 @@ def keep_energy(i, k, impulse, normal, approach, yielding, step, paths, drive, s
         if yielding[side, 0] > 0.0:
             for axis in range(2):
                 force = bodies.mass[c] * step.gravity[axis]
-                if drive is not None:
-                    force += drive.force[c, axis]
+                if actuation is not None:
+                    force += actuation.force[c, axis]
                 gained += force / bodies.mass[c] * impulse * yielding[side, 1 + axis]
                 if c == heavier:
                     g += force / bodies.mass[c] * normal[axis] * (1.0 - 2.0 * side)

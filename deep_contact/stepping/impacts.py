@@ -38,7 +38,7 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.stepping.islands import root_of
 from deep_contact.stepping.log import is_asked, work_on
-from deep_contact.stepping.rows import arms_of, effective_masses
+from deep_contact.stepping.rows import arms_of, row_masses
 from deep_contact.stepping.segments import moves, surface_velocity, wall_velocity
 
 MOST_STRIKES = 200
@@ -91,38 +91,38 @@ class Round(NamedTuple):
     sums: np.ndarray
     impulse: np.ndarray
     fastest: np.ndarray
-    received: np.ndarray
+    pair_impulses: np.ndarray
 
 
 @njit(inline="always")
-def logged_rebound(step, motion, contacts, log, drive):
+def logged_rebound(step, motion, contacts, log, actuation):
     """`rebound`, with its work in the log. Returns the impulses on second bodies, (m, 2), N·s; (0, 2) if not needed.
 
-    motion: `Motion` of the step; None without optional features (`context.with_rare`), and so without restitution.
+    motion: `Motion` of the step; None without optional features (`context.with_optional`), and so without restitution.
     """
     impulse = log.loads[:0]
     if motion is not None:
-        if is_asked(log) or drive is not None:
+        if is_asked(log) or actuation is not None:
             impulse = np.zeros((contacts.body_a.shape[0], 2))
-        work = rebound(step, contacts, impulse, drive)
-        if drive is not None:
+        work = rebound(step, contacts, impulse, actuation)
+        if actuation is not None:
             log.work[0] += work + work_on(step, contacts, impulse)
     return impulse
 
 
 @njit(cache=True, error_model="numpy")
-def rebound(step, contacts, impulse, drive):
+def rebound(step, contacts, impulse, actuation):
     """If e > 0, let circles that meet rebound, in place on their velocities and spins (`reflect`).
 
     Velocities are half a step behind the positions (see the module). Pushes therefore act for half a step before the
     rebounds, and fixed circles move at −Δt g / 2 in addition, as walls do. Returns the work of pushes in the rebounds,
-    J. drive: `Drive` of the step, or None.
+    J. actuation: `Actuation` of the step, or None.
     """
     work, bodies = 0.0, step.bodies
     if step.restitution == 0.0:
         return work
-    if drive is None:
-        reflect(step, contacts, impulse, drive)
+    if actuation is None:
+        reflect(step, contacts, impulse, actuation)
         return work
     velocity, before, half = bodies.velocity, bodies.velocity.copy(), 0.5 * step.dt
     for i in range(bodies.mass.shape[0]):
@@ -130,19 +130,19 @@ def rebound(step, contacts, impulse, drive):
             if bodies.mass[i] == np.inf:
                 velocity[i, axis] -= half * step.gravity[axis]
             else:
-                velocity[i, axis] += half * drive.force[i, axis] / bodies.mass[i]
+                velocity[i, axis] += half * actuation.force[i, axis] / bodies.mass[i]
     shifted = velocity.copy()
-    reflect(step, contacts, impulse, drive)
+    reflect(step, contacts, impulse, actuation)
     for i in range(bodies.mass.shape[0]):
         for axis in range(2):
             change = velocity[i, axis] - shifted[i, axis]
-            work -= half * drive.force[i, axis] * change
+            work -= half * actuation.force[i, axis] * change
             velocity[i, axis] = before[i, axis] + change
     return work
 
 
 @njit(cache=True, error_model="numpy")
-def reflect(step, contacts, impulse, drive):
+def reflect(step, contacts, impulse, actuation):
     """The rounds of `rebound`. Their stages are inlined: a call would count references to every array of the step.
 
     step: `StepInput`. impulse: the impulses on the second bodies of the contacts are added to it, (m, 2), N·s; (0, 2)
@@ -160,10 +160,10 @@ def reflect(step, contacts, impulse, drive):
     head, following = contacts_of_circles(contacts, n)
     count, strikes = m, 0
     while count > 0 and strikes < max(MOST_STRIKES * m, ALWAYS_STRIKES):
-        struck = approaching(step, contacts, count, now, floor, slowest, drive)
+        struck = approaching(step, contacts, count, now, floor, slowest, actuation)
         circles = join(step.bodies, contacts, struck, now)
         push(step, contacts, struck, circles, now)
-        rub(step, contacts, struck, circles, now, step.friction, drive)
+        rub(step, contacts, struck, circles, now, step.friction, actuation)
         strikes, count = strikes + struck, 0
         for k in range(circles):
             end = head[now.circle[k]]
@@ -189,7 +189,7 @@ def floor_of(step):
 
 
 @njit(inline="always")
-def approaching(step, contacts, count, now, floor, slowest, drive):
+def approaching(step, contacts, count, now, floor, slowest, actuation):
     """Keep those of the first `count` contacts in `now.near` that rebound, in place, with x_i = −v_n.
 
     Returns the number of contacts that rebound.
@@ -219,8 +219,8 @@ def approaching(step, contacts, count, now, floor, slowest, drive):
         a_x, a_y, b_x, b_y = velocity[a, 0], velocity[a, 1], up_x, up_y
         if b < n:
             b_x, b_y = velocity[b, 0], velocity[b, 1]
-        elif drive is not None:
-            b_x, b_y = ground_of(step, contacts, i, drive)
+        elif actuation is not None:
+            b_x, b_y = ground_of(step, contacts, i, actuation)
         x = (a_x - b_x) * n_x + (a_y - b_y) * n_y
         if x > 0.0:
             least = max(slowest * max(fastest[a], fastest[min(b, n)]), flat, abs(f_x * n_x + f_y * n_y))
@@ -232,14 +232,14 @@ def approaching(step, contacts, count, now, floor, slowest, drive):
 
 
 @njit(inline="always")
-def ground_of(step, contacts, i, drive):
+def ground_of(step, contacts, i, actuation):
     """Velocity of a wall or a segment at the i-th contact, m/s: see the module."""
     v_x, v_y = -0.5 * step.dt * step.gravity[0], -0.5 * step.dt * step.gravity[1]
-    if drive is not None:
+    if actuation is not None:
         s = contacts.body_b[i] - step.bodies.mass.shape[0] - 4
-        if s >= 0 and moves(drive.wall, s):
+        if s >= 0 and moves(actuation.wall, s):
             x, y = contacts.position[i, 0], contacts.position[i, 1]
-            w_x, w_y = wall_velocity(step.segments.line, drive.wall, s, x, y)
+            w_x, w_y = wall_velocity(step.segments.line, actuation.wall, s, x, y)
             v_x, v_y = v_x + w_x, v_y + w_y
     return v_x, v_y
 
@@ -341,7 +341,7 @@ def give(now, a, b, p_x, p_y):
 
 
 @njit(cache=True, error_model="numpy")
-def rub(step, contacts, struck, circles, now, friction, drive):
+def rub(step, contacts, struck, circles, now, friction, actuation):
     """Apply the friction of the normal impulses to the circles, in place.
 
     The function is not inlined: only by the type of an argument does the compiler know that there is no friction.
@@ -353,14 +353,14 @@ def rub(step, contacts, struck, circles, now, friction, drive):
         if friction is not None:
             arms, row = arms_of(bodies.radius, a, b, contacts.separation[i]), min(b, n)
             _, w_a, w_b = shared_masses(bodies, contacts, k, now)
-            k_t = effective_masses(w_a, w_b, arms)[1]
-            p_t = max(-friction * p_n, min(-k_t * slip_of(step, contacts, i, arms, drive), friction * p_n))
+            k_t = row_masses(w_a, w_b, arms)[1]
+            p_t = max(-friction * p_n, min(-k_t * slip_of(step, contacts, i, arms, actuation), friction * p_n))
             give(now, a, row, p_t * n_y, -p_t * n_x)
             now.impulse[a, 2] += arms[0] * p_t
             now.impulse[row, 2] += arms[1] * p_t
-        if now.received.shape[0] > 0:
-            now.received[i, 0] += p_n * n_x + p_t * n_y
-            now.received[i, 1] += p_n * n_y - p_t * n_x
+        if now.pair_impulses.shape[0] > 0:
+            now.pair_impulses[i, 0] += p_n * n_x + p_t * n_y
+            now.pair_impulses[i, 1] += p_n * n_y - p_t * n_x
     if friction is not None:
         for k in range(circles):
             c = now.circle[k]
@@ -371,7 +371,7 @@ def rub(step, contacts, struck, circles, now, friction, drive):
 
 
 @njit(inline="always")
-def slip_of(step, contacts, i, arms, drive):
+def slip_of(step, contacts, i, arms, actuation):
     """v_t of the i-th contact along the tangent (n_y, −n_x), m/s. arms: over radii."""
     bodies, n, a, b = step.bodies, step.bodies.mass.shape[0], contacts.body_a[i], contacts.body_b[i]
     n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
@@ -379,7 +379,7 @@ def slip_of(step, contacts, i, arms, drive):
     if b < n:
         v_t += arms[1] * bodies.spin[b] * bodies.radius[b]
         return v_t + bodies.velocity[b, 0] * n_y - bodies.velocity[b, 1] * n_x
-    ground = ground_of(step, contacts, i, drive)
+    ground = ground_of(step, contacts, i, actuation)
     v_t += ground[0] * n_y - ground[1] * n_x
     if b >= n + 4:
         v_t += surface_velocity(step.segments.line[b - n - 4], n_x, n_y)

@@ -6,7 +6,7 @@ import numpy as np
 
 from deep_contact.state.scales import ContactScales, mean
 from deep_contact.state.state import State
-from deep_contact.stepping.context import Drive, Motion, StepInput
+from deep_contact.stepping.context import Actuation, Motion, StepInput
 from deep_contact.stepping.interface import SolverOptions, entry_of
 from deep_contact.stepping.segment_grid import segments_in_grid
 
@@ -28,19 +28,21 @@ def step_input(state: State, solver, scales: ContactScales | None = None) -> Ste
     world, options = state.world, UNDIVIDED if solver is None else solver
     friction = None if solver is not None and leaves_tangents_out(state, solver) else world.friction
     scales, most = scales_of(state, options) if scales is None else scales, options.motion_parts
-    parts = options.substeps
-    step = StepInput(state.bodies, world.box, None, world.gravity, friction, None, state.dt / parts, parts, scales)
-    drive = drive_of(state)
-    if most == 1 and not world.segments and world.restitution == 0.0 and drive is None:
+    substeps = options.substeps
+    step = StepInput(
+        state.bodies, world.box, None, world.gravity, friction, None, state.dt / substeps, substeps, scales
+    )
+    actuation = actuation_of(state)
+    if most == 1 and not world.segments and world.restitution == 0.0 and actuation is None:
         return step
     motion = Motion(most, options.approach * mean(state.bodies.radius)) if most > 1 else Motion(1, 0.0)
     segments = segments_in_grid(world, reach_of(state, scales))
     if world.segment_velocities:
         segments = segments._replace(line=segments.line.copy())
-    return step._replace(segments=segments, restitution=world.restitution, motion=motion, drive=drive)
+    return step._replace(segments=segments, restitution=world.restitution, motion=motion, actuation=actuation)
 
 
-def drive_of(state: State) -> Drive | None:
+def actuation_of(state: State) -> Actuation | None:
     """Kinematics and external force of a state's next step; None without moving segments, fixed circles and pushes."""
     (force, torque), world, n = state.push or (None, None), state.world, state.bodies.count
     if force is None and not world.segment_velocities and not state.bodies.is_fixed.any():
@@ -48,7 +50,7 @@ def drive_of(state: State) -> Drive | None:
     if force is None:
         force, torque = np.zeros((n, 2)), np.zeros(n)
     wall = np.array(world.segment_velocities or np.zeros((len(world.segments), 4))).reshape(-1, 4)
-    return Drive(wall, np.flatnonzero(wall.any(axis=1)), force, torque)
+    return Actuation(wall, np.flatnonzero(wall.any(axis=1)), force, torque)
 
 
 def reach_of(state: State, scales: ContactScales) -> float:

@@ -12,11 +12,12 @@ from deep_contact.stepping.segments import moves, wall_velocity
 
 DONE, WORK, LAST_SWEEPS, WATCHED, FINITE, PASSED = range(6)
 """Elements of `StepLog.progress`: number of the solver's substeps that are done; work, in relaxations, until the call
-ends; sweeps of the last solve; whether the call is a single step whose impulses are logged in `StepLog.received`;
+ends; sweeps of the last solve; whether the call is a single step whose impulses are logged in `StepLog.pair_impulses`;
 whether all positions are finite; 1 + the circle over which a moving segment has passed last, or 0."""
 
 PAIR, X, Y, N_X, N_Y, SEPARATION, P_X, P_Y = range(8)
-"""Columns of `StepLog.received`: the two bodies as one number (`pair_of`); contact point, m, normal and separation, m,
+"""Columns of `StepLog.pair_impulses`: the two bodies as one number (`pair_of`); contact point, m, normal and
+separation, m,
 of the contact when it came; impulse on its second body, N·s."""
 
 MOST_BODIES = 2**26
@@ -33,10 +34,12 @@ class StepLog(NamedTuple):
     sweeps: np.ndarray
     theta: np.ndarray  # θ of the last sweep, N·s
     relaxations: np.ndarray
-    parts: np.ndarray  # number of substeps
+    substeps: np.ndarray  # number of substeps
     progress: np.ndarray  # (6,): `DONE`, `WORK`, `LAST_SWEEPS`, `WATCHED`, `FINITE`, `PASSED`
     loads: np.ndarray  # (4 + S, 2): sum of the impulses on walls and segments, N·s; (0, 2): not logged
-    received: np.ndarray  # (k, 8): impulses of each pair in a watched step, of rebounds and solves, sorted by `PAIR`
+    pair_impulses: (
+        np.ndarray
+    )  # (k, 8): impulses of each pair in a watched step, of rebounds and solves, sorted by `PAIR`
     on_circles: np.ndarray  # (n, 2): sum of the contact impulses on the circles, N·s; (0, 2): not logged
     work: np.ndarray  # (1,): work of moving segments, fixed circles and pushes, J
     shifts: np.ndarray  # (n, 2): momentum from gravity and pushes beyond Δt (m g + f), N·s; (0, 2): not logged
@@ -61,13 +64,13 @@ def some_steps(log: StepLog, first: int, count: int, work: int, is_watched: bool
 
 
 @njit(cache=True)
-def log_part(log, k, contacts, sweeps, theta, relaxations):
+def log_substep(log, k, contacts, sweeps, theta, relaxations):
     """Add a substep of the k-th step to the log, in place."""
     log.contacts[k] = contacts
     log.sweeps[k] += sweeps
     log.theta[k] = theta[sweeps - 1] if sweeps > 0 else np.inf
     log.relaxations[k] += relaxations
-    log.parts[k] += 1
+    log.substeps[k] += 1
     log.progress[WORK] -= relaxations + BESIDE_SWEEPS * contacts
     log.progress[LAST_SWEEPS] = sweeps
 
@@ -78,13 +81,13 @@ def log_work(step, contacts, solver_bodies, log):
 
     The power of a push is its force times the mean of the velocities before and after the substep.
     """
-    bodies, drive, of_pushes = step.bodies, step.drive, 0.0
+    bodies, actuation, of_pushes = step.bodies, step.actuation, 0.0
     for i in range(bodies.mass.shape[0]):
         if bodies.mass[i] < np.inf:
             v_x, v_y = bodies.velocity[i, 0] + solver_bodies[i, 0], bodies.velocity[i, 1] + solver_bodies[i, 1]
             turn = bodies.spin[i] + solver_bodies[i, 2] / bodies.radius[i]
-            of_pushes += drive.force[i, 0] * v_x + drive.force[i, 1] * v_y + drive.torque[i] * turn
-    log.work[0] += work_on(step, contacts, impulses_of(contacts, 1.0 / step.parts)) + 0.5 * step.dt * of_pushes
+            of_pushes += actuation.force[i, 0] * v_x + actuation.force[i, 1] * v_y + actuation.torque[i] * turn
+    log.work[0] += work_on(step, contacts, impulses_of(contacts, 1.0 / step.substeps)) + 0.5 * step.dt * of_pushes
 
 
 @njit(cache=True, error_model="numpy")
@@ -93,14 +96,14 @@ def work_on(step, contacts, impulse):
 
     The work of moving surfaces (`World.surface_speeds`) is not included. contacts: at the positions of the circles.
     """
-    bodies, drive, work = step.bodies, step.drive, 0.0
+    bodies, actuation, work = step.bodies, step.actuation, 0.0
     n = bodies.mass.shape[0]
     for i in range(impulse.shape[0]):
         a, b, x, y = contacts.body_a[i], contacts.body_b[i], contacts.position[i, 0], contacts.position[i, 1]
         v_x, v_y, sign = 0.0, 0.0, -1.0
         if b >= n:
-            if b >= n + 4 and moves(drive.wall, b - n - 4):
-                v_x, v_y = wall_velocity(step.segments.line, drive.wall, b - n - 4, x, y)
+            if b >= n + 4 and moves(actuation.wall, b - n - 4):
+                v_x, v_y = wall_velocity(step.segments.line, actuation.wall, b - n - 4, x, y)
         else:
             fixed = b
             if bodies.mass[a] == np.inf:
@@ -130,10 +133,10 @@ def impulses_of(contacts, share):
 
 
 @njit(cache=True)
-def log_impulses(log, received, contacts, impulse, n):
+def log_impulses(log, pair_impulses, contacts, impulse, n):
     """Log impulses on the second bodies of contacts, (m, 2), N·s: `loads` and `on_circles` change in place.
 
-    n: number of circles. Returns `StepLog.received` with these impulses.
+    n: number of circles. Returns `StepLog.pair_impulses` with these impulses.
     """
     m, j = impulse.shape[0], 0
     for i in range(m if log.loads.shape[0] > 0 else 0):
@@ -148,32 +151,32 @@ def log_impulses(log, received, contacts, impulse, n):
             if b < n:
                 log.on_circles[b, axis] += impulse[i, axis]
     if m == 0 or log.progress[WATCHED] == 0:
-        return received
-    received = with_pairs(received, contacts)
+        return pair_impulses
+    pair_impulses = with_pairs(pair_impulses, contacts)
     for i in range(m):
-        while received[j, PAIR] < pair_of(contacts, i):
+        while pair_impulses[j, PAIR] < pair_of(contacts, i):
             j += 1
-        received[j, P_X] += impulse[i, 0]
-        received[j, P_Y] += impulse[i, 1]
-    return received
+        pair_impulses[j, P_X] += impulse[i, 0]
+        pair_impulses[j, P_Y] += impulse[i, 1]
+    return pair_impulses
 
 
 @njit(cache=True)
-def with_pairs(received, contacts):
-    """`StepLog.received` with a row for each of these contacts, in their order; itself if it has all rows already."""
-    k, m, new, j = received.shape[0], contacts.body_a.shape[0], 0, 0
+def with_pairs(pair_impulses, contacts):
+    """`StepLog.pair_impulses` with a row for each of these contacts, in their order; itself if it has all rows."""
+    k, m, new, j = pair_impulses.shape[0], contacts.body_a.shape[0], 0, 0
     for i in range(m):
-        while j < k and received[j, PAIR] < pair_of(contacts, i):
+        while j < k and pair_impulses[j, PAIR] < pair_of(contacts, i):
             j += 1
-        new += j == k or received[j, PAIR] > pair_of(contacts, i)
+        new += j == k or pair_impulses[j, PAIR] > pair_of(contacts, i)
     if new == 0:
-        return received
+        return pair_impulses
     merged, i, j = np.zeros((k + new, 8)), 0, 0
     for row in range(k + new):
-        if j < k and (i == m or received[j, PAIR] <= pair_of(contacts, i)):
-            i += i < m and received[j, PAIR] == pair_of(contacts, i)
+        if j < k and (i == m or pair_impulses[j, PAIR] <= pair_of(contacts, i)):
+            i += i < m and pair_impulses[j, PAIR] == pair_of(contacts, i)
             for column in range(8):  # an assignment of rows brings 37 functions along, for the text of its error
-                merged[row, column] = received[j, column]
+                merged[row, column] = pair_impulses[j, column]
             j += 1
         else:
             merged[row, PAIR], merged[row, SEPARATION] = pair_of(contacts, i), contacts.separation[i]
@@ -189,12 +192,12 @@ def pair_of(contacts, i):
     return contacts.body_a[i] * MOST_BODIES + contacts.body_b[i]
 
 
-def of_whole_step(contacts: Contacts, received: np.ndarray) -> Contacts:
+def of_whole_step(contacts: Contacts, pair_impulses: np.ndarray) -> Contacts:
     """The contacts of a step, also those that came during it, with their impulses summed over the step.
 
-    contacts: at the start of the step. received: of `StepLog`.
+    contacts: at the start of the step. pair_impulses: of `StepLog`.
     """
-    pair, x, y, n_x, n_y, separation, p_x, p_y = received.T
+    pair, x, y, n_x, n_y, separation, p_x, p_y = pair_impulses.T
     starts = np.zeros((2, len(pair)))
     starts[:, np.searchsorted(pair, contacts.body_a * MOST_BODIES + contacts.body_b)] = contacts[7:]
     impulses = np.maximum(p_x * n_x + p_y * n_y, 0.0), p_x * n_y - p_y * n_x

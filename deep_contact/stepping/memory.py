@@ -16,7 +16,7 @@ from deep_contact.stepping.context import (
     StepSetup,
     make_memory,
     make_setup,
-    with_rare,
+    with_optional,
 )
 from deep_contact.stepping.interface import entry_of, make_workspace
 from deep_contact.stepping.log import DONE, WORK, StepLog, is_asked, log_impulses, work_on
@@ -37,7 +37,7 @@ class Steps:
         self._is_plain = not (sleep or entry.advance)  # whether optional features are left out; once False, it stays
         self._options = StepOptions(entry.settings(solver), solver.position_sweeps, carry)
         self._solver, self._memory, self._direct = solver, {}, {}
-        self._asked = self._rare = None  # the last input of steps, and its `with_rare`
+        self._asked = self._rare = None  # the last input of steps, and its `with_optional`
         self._setups: dict = {}  # buffer -> the last input of steps, and its setup
         self._found: tuple = (None, -1, False)  # body_a of the last contacts, their buffer, and the key of its memory
         self.sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
@@ -72,12 +72,12 @@ class Steps:
         found, buffer, kept = self._found
         return buffer if contacts.body_a is found and key == kept else -1
 
-    def _keep(self, following: Contacts, parts: int, buffer: int, key: bool) -> Contacts:
-        """Record the buffer of the contacts after `parts` substeps, which fill two buffers in turn, and return them."""
+    def _keep(self, following: Contacts, substeps: int, buffer: int, key: bool) -> Contacts:
+        """Record the buffer of the contacts after substeps, which fill two buffers in turn, and return them."""
         if self.sleep is not None:  # substeps in which all circles sleep fill no buffer
             following, buffer = Contacts(*map(np.copy, following)), -1
-        elif parts > 0:
-            buffer = _BUFFERS[buffer][parts % 2]
+        elif substeps > 0:
+            buffer = _BUFFERS[buffer][substeps % 2]
         self._found = following.body_a, buffer, key
         return following
 
@@ -88,32 +88,32 @@ class Steps:
 
         problem: contact problem of the only step, if it is built already; the step overwrites it. If circles may sleep
         or the step is divided, it is ignored, and rows are built anew.
-        Returns the contacts at the end, in memory that the next call does not overwrite, and `StepLog.received`.
+        Returns the contacts at the end, in memory that the next call does not overwrite, and `StepLog.pair_impulses`.
         """
         key, before, built = step.friction is None, 0, None
         buffer = self._buffer_of(contacts, key)
-        if problem is not None and self.sleep is None and step.parts == self._solver.motion_parts == 1:
+        if problem is not None and self.sleep is None and step.substeps == self._solver.motion_parts == 1:
             rows, solver_bodies, _, impacts = started(problem, contacts, step.friction)
             built = {"rows": rows, "solver_bodies": solver_bodies, "is_built": True}
-            if step.drive is not None:
+            if step.actuation is not None:
                 log.work[0] += work_on(step, contacts, impacts)
             if is_asked(log):
-                received = log_impulses(log, log.received, contacts, impacts, step.bodies.count)
-                log = log._replace(received=received)
+                pair_impulses = log_impulses(log, log.pair_impulses, contacts, impacts, step.bodies.count)
+                log = log._replace(pair_impulses=pair_impulses)
         while True:
             self._is_plain = self._is_plain and step.motion is None
-            step = step if self._is_plain else self._with_rare(step)
-            kind = self._is_plain, key, step.drive is None  # what the types of all arguments depend on
+            step = step if self._is_plain else self._with_optional(step)
+            kind = self._is_plain, key, step.actuation is None  # what the types of all arguments depend on
             if kind not in self._direct:
                 self._direct[kind] = Direct(self._advance)
             setup = self._setup_of(step, buffer, contacts.count, built)
-            following, received = self._direct[kind](setup, contacts, step.motion, self.sleep, log, step.drive)
-            parts = int(log.parts[0] if len(log.parts) == 1 else log.parts.sum())
-            following, before = self._keep(following, parts - before, buffer, key), parts
-            if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.parts * len(log.contacts):
-                return following, received
+            following, pair_impulses = self._direct[kind](setup, contacts, step.motion, self.sleep, log, step.actuation)
+            substeps = int(log.substeps[0] if len(log.substeps) == 1 else log.substeps.sum())
+            following, before = self._keep(following, substeps - before, buffer, key), substeps
+            if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.substeps * len(log.contacts):
+                return following, pair_impulses
             # A circle is fast, so the next call has the code for it. The rows that were built are overwritten by now.
-            self._is_plain, contacts, log, built = False, following, log._replace(received=received), None
+            self._is_plain, contacts, log, built = False, following, log._replace(pair_impulses=pair_impulses), None
             buffer = self._buffer_of(following, key)
 
     def _setup_of(self, step: StepInput, buffer: int, contacts: int, built: dict | None) -> StepSetup:
@@ -129,9 +129,9 @@ class Steps:
                 self._setups[buffer] = step, setup
         return setup
 
-    def _with_rare(self, step: StepInput) -> StepInput:
+    def _with_optional(self, step: StepInput) -> StepInput:
         if step is not self._asked:
-            self._asked, self._rare = step, with_rare(step)
+            self._asked, self._rare = step, with_optional(step)
         return self._rare
 
 

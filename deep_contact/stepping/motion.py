@@ -13,10 +13,10 @@ from deep_contact.stepping.segments import has_moving
 
 
 @njit(cache=True, error_model="numpy")
-def integrate_velocities(bodies, gravity, dt, solver_bodies, drive):
+def integrate_velocities(bodies, gravity, dt, solver_bodies, actuation):
     """Fill the solver bodies, (n + 4, 4), with the velocities after Δt of gravity and pushes (v + Δt M⁻¹ F, Eq 2.27).
 
-    drive: `Drive` of the step, or None.
+    actuation: `Actuation` of the step, or None.
     """
     n = bodies.mass.shape[0]
     for i in range(n):
@@ -25,22 +25,22 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies, drive):
         solver_bodies[i, V_S] = bodies.spin[i] * bodies.radius[i]
         solver_bodies[i, INVERSE_MASS] = 1.0 / bodies.mass[i]
     solver_bodies[n:] = 0.0
-    if drive is not None:
+    if actuation is not None:
         for i in range(n):
             w = solver_bodies[i, INVERSE_MASS]
             if w == 0.0:
                 solver_bodies[i, V_X], solver_bodies[i, V_Y] = bodies.velocity[i, 0], bodies.velocity[i, 1]
-            solver_bodies[i, V_X] += dt * (w * drive.force[i, 0])
-            solver_bodies[i, V_Y] += dt * (w * drive.force[i, 1])
-            solver_bodies[i, V_S] += dt * (2.0 * w * drive.torque[i] / bodies.radius[i])
+            solver_bodies[i, V_X] += dt * (w * actuation.force[i, 0])
+            solver_bodies[i, V_Y] += dt * (w * actuation.force[i, 1])
+            solver_bodies[i, V_S] += dt * (2.0 * w * actuation.torque[i] / bodies.radius[i])
 
 
 @njit(cache=True, error_model="numpy")
-def integrate_positions(bodies, solver_bodies, step, segments, drive, shifts):
+def integrate_positions(bodies, solver_bodies, step, segments, actuation, shifts):
     """Write the solved velocities into the bodies and move them for Δt, in place (symplectic Euler).
 
     Displacements and rotations are limited (`cut_motion`). Fast circles push on what they meet (`continuous`). step:
-    `StepInput`. segments: at the end of the step. drive: `Drive` of the step, or None. shifts: of `StepLog`.
+    `StepInput`. segments: at the end of the step. actuation: `Actuation` of the step, or None. shifts: of `StepLog`.
     Returns whether the bodies have moved. They have not if segments are None and a circle is fast, because the code for
     continuous collision is then missing.
     """
@@ -49,9 +49,9 @@ def integrate_positions(bodies, solver_bodies, step, segments, drive, shifts):
             return False
         move(bodies, solver_bodies, step.dt, step.scales.max_translation)
     else:
-        if move(bodies, solver_bodies, step.dt, step.scales.max_translation) or has_moving(drive):
+        if move(bodies, solver_bodies, step.dt, step.scales.max_translation) or has_moving(actuation):
             start = moved(bodies.position, bodies.velocity, -step.dt)
-            collide_fast(step, start, segments, drive, shifts)
+            collide_fast(step, start, segments, actuation, shifts)
     return True
 
 

@@ -27,19 +27,19 @@ PARALLEL = 1e-3
 
 
 @njit(cache=True, error_model="numpy")
-def without_passed(contacts, bodies, segments, drive, progress):
+def without_passed(contacts, bodies, segments, actuation, progress):
     """The contacts without those of moving segments with circles that bodies at rest hold in their way, in place.
 
     contacts: at the bodies' positions, with geometry. segments: at the same time. progress: of `StepLog`; it records a
-    circle that has lost such a contact. drive: `Drive` of the step, or None.
+    circle that has lost such a contact. actuation: `Actuation` of the step, or None.
     """
-    if not has_moving(drive):
+    if not has_moving(actuation):
         return contacts
     n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
     way, pushed = np.zeros((n, 2)), False
     for i in range(m):
         a, s = contacts.body_a[i], contacts.body_b[i] - n - 4
-        if s >= 0 and pushes(contacts, i, s, segments, drive):
+        if s >= 0 and pushes(contacts, i, s, segments, actuation):
             way[a, 0], way[a, 1], pushed = -contacts.normal[i, 0], -contacts.normal[i, 1], True
     if not pushed:
         return contacts
@@ -47,15 +47,15 @@ def without_passed(contacts, bodies, segments, drive, progress):
     for i in range(m):
         a, b = contacts.body_a[i], contacts.body_b[i]
         if way[a, 0] != 0.0 or way[a, 1] != 0.0:
-            if rests(b, bodies, drive):
+            if rests(b, bodies, actuation):
                 note_normal(way[a], contacts.normal[i, 0], contacts.normal[i, 1], a, left, right)
         if b < n and (way[b, 0] != 0.0 or way[b, 1] != 0.0):
-            if rests(a, bodies, drive):
+            if rests(a, bodies, actuation):
                 note_normal(way[b], -contacts.normal[i, 0], -contacts.normal[i, 1], b, left, right)
     kept = 0
     for i in range(m):
         a, s = contacts.body_a[i], contacts.body_b[i] - n - 4
-        if s >= 0 and left[a] + right[a] < math.pi and pushes(contacts, i, s, segments, drive):
+        if s >= 0 and left[a] + right[a] < math.pi and pushes(contacts, i, s, segments, actuation):
             progress[PASSED] = a + 1
             continue
         contacts.body_a[kept], contacts.body_b[kept] = a, contacts.body_b[i]
@@ -68,20 +68,20 @@ def without_passed(contacts, bodies, segments, drive, progress):
 
 
 @njit(inline="always")
-def pushes(contacts, i, s, segments, drive):
+def pushes(contacts, i, s, segments, actuation):
     """Whether segment s moves towards the circle of the i-th contact."""
-    if not moves(drive.wall, s):
+    if not moves(actuation.wall, s):
         return False
-    v_x, v_y = wall_velocity(segments.line, drive.wall, s, contacts.position[i, 0], contacts.position[i, 1])
+    v_x, v_y = wall_velocity(segments.line, actuation.wall, s, contacts.position[i, 0], contacts.position[i, 1])
     return v_x * contacts.normal[i, 0] + v_y * contacts.normal[i, 1] < 0.0
 
 
 @njit(inline="always")
-def rests(b, bodies, drive):
+def rests(b, bodies, actuation):
     """Whether body b is a wall, or a segment or fixed circle at rest."""
     n = bodies.mass.shape[0]
     if b >= n:
-        return b < n + 4 or not moves(drive.wall, b - n - 4)
+        return b < n + 4 or not moves(actuation.wall, b - n - 4)
     return bodies.mass[b] == math.inf and bodies.velocity[b, 0] == 0.0 and bodies.velocity[b, 1] == 0.0
 
 

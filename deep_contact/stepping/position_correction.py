@@ -65,7 +65,7 @@ CORRECTION_MEMORY = np.dtype([("sweeps", np.int64), ("wait", np.int64)])
 """Number of sweeps of the last correction, and of corrections until levels are tried again."""
 
 
-class CorrectionRoom(NamedTuple):
+class CorrectionWorkspace(NamedTuple):
     """Buffers of `correct_positions` for n circles and M contacts."""
 
     level: np.ndarray  # (n,): for each circle, the first level without a contact of it
@@ -77,29 +77,29 @@ class CorrectionRoom(NamedTuple):
     memory: np.ndarray  # (1,): `CORRECTION_MEMORY`
 
 
-def make_correction_room(n, capacity):
+def make_correction_workspace(n, capacity):
     """Buffers for n circles and `capacity` contacts."""
     tiles = capacity // WIDTH + capacity // _FILLED + 1
-    return CorrectionRoom(
+    return CorrectionWorkspace(
         np.empty(n, np.int64), np.empty(capacity, np.int64), np.empty(capacity, np.int64),
         np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 2, WIDTH)), np.empty((n + 5, 4)),
         np.zeros(1, CORRECTION_MEMORY),
     )  # fmt: skip
 
 
-_larger_room = njit(cache=True)(make_correction_room)
+_larger_workspace = njit(cache=True)(make_correction_workspace)
 
 
 @njit(cache=True, error_model="numpy")
-def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
+def correct_positions(bodies, contacts, box, segments, scales, sweeps, workspace):
     """Push the circles apart, in place, until none penetrates deeper than three slops, or `sweeps` sweeps are done.
 
-    room: `CorrectionRoom`. Its memory of earlier corrections decides which way is cheaper, and changes no bit of the
-    result. Tiles support walls but no segments, so that scenes with segments are corrected contact by contact.
+    workspace: `CorrectionWorkspace`. Its memory of earlier corrections decides which way is cheaper, and changes no bit
+    of the result. Tiles support walls but no segments, so that scenes with segments are corrected contact by contact.
     """
-    n, m, memory = bodies.mass.shape[0], contacts.body_a.shape[0], room.memory[0]
-    if m > room.batch.shape[0]:
-        room = _larger_room(n, m)
+    n, m, memory = bodies.mass.shape[0], contacts.body_a.shape[0], workspace.memory[0]
+    if m > workspace.batch.shape[0]:
+        workspace = _larger_workspace(n, m)
     tiles, done = 0, 0
     begin = 0 if memory["sweeps"] > _FEW else _FEW
     in_turn = segments is not None and segments.line.shape[0] > 0
@@ -109,21 +109,21 @@ def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
         memory["wait"], begin = max(memory["wait"] - 1, 0), sweeps
     while done < sweeps:
         if done == begin:
-            tiles = fill_levels(contacts, n, room)
+            tiles = fill_levels(contacts, n, workspace)
             if tiles > 0:
-                fill_centres(bodies, room.centre)
-                fill_ground(box, scales, room.centre[n:])
+                fill_centres(bodies, workspace.centre)
+                fill_ground(box, scales, workspace.centre[n:])
             else:
                 memory["wait"] = _PATIENCE
         if tiles > 0:
-            deepest = correct_tiles(room.body, room.normal, 2, room.centre, 0, tiles, scales)
+            deepest = correct_tiles(workspace.body, workspace.normal, 2, workspace.centre, 0, tiles, scales)
         else:
             deepest = correct_in_turn(bodies, contacts, box, segments, scales)
         done += 1
         if deepest >= -POSITION_TOLERANCE * scales.slop:
             break
     if tiles > 0:
-        take_centres(room.centre, bodies)
+        take_centres(workspace.centre, bodies)
     memory["sweeps"] = done
 
 
@@ -217,12 +217,12 @@ def correct_tiles(body, normal, stride, centre, first, last, scales):
 
 
 @njit(cache=True)
-def fill_levels(contacts, n, room):
+def fill_levels(contacts, n, workspace):
     """Sort the contacts into tiles, level by level. Returns the number of tiles; 0 if these would be too empty.
 
     The level of a contact is the first one after the levels of all earlier contacts that share a circle with it.
     """
-    level, batch, fill = room.level, room.batch, room.fill
+    level, batch, fill = workspace.level, workspace.batch, workspace.fill
     m, levels = contacts.body_a.shape[0], 0
     level[:] = 0
     for i in range(m):
@@ -244,17 +244,17 @@ def fill_levels(contacts, n, room):
         used, fill[k] = fill[k], tiles * WIDTH
         tiles += (used + WIDTH - 1) // WIDTH
         for place in range(fill[k] + used, tiles * WIDTH):
-            room.body[place // WIDTH, :, place % WIDTH] = n + IDLE
-            room.normal[place // WIDTH, :, place % WIDTH] = 0.0
+            workspace.body[place // WIDTH, :, place % WIDTH] = n + IDLE
+            workspace.normal[place // WIDTH, :, place % WIDTH] = 0.0
     for i in range(m):
         place = fill[batch[i]]
         fill[batch[i]] += 1
         a, b = contacts.body_a[i], contacts.body_b[i]
-        room.body[place // WIDTH, 0, place % WIDTH] = a
-        room.body[place // WIDTH, 1, place % WIDTH] = b
+        workspace.body[place // WIDTH, 0, place % WIDTH] = a
+        workspace.body[place // WIDTH, 1, place % WIDTH] = b
         normal = contacts.normal[i] if b < n else WALL_NORMALS[b - n]
-        room.normal[place // WIDTH, 0, place % WIDTH] = normal[0]
-        room.normal[place // WIDTH, 1, place % WIDTH] = normal[1]
+        workspace.normal[place // WIDTH, 0, place % WIDTH] = normal[0]
+        workspace.normal[place // WIDTH, 1, place % WIDTH] = normal[1]
     return tiles
 
 

@@ -16,7 +16,7 @@ from deep_contact.state.equality import by_value
 from deep_contact.state.scales import ContactScales
 from deep_contact.state.state import State, native
 from deep_contact.stepping.broad_phase import make_cells
-from deep_contact.stepping.contacts import Walls, find_contacts, make_contacts
+from deep_contact.stepping.contacts import Walls, detect_contacts, make_contacts
 from deep_contact.stepping.convergence import ConvergenceRecord, convergence_record
 from deep_contact.stepping.impacts import rebound
 from deep_contact.stepping.inputs import leaves_tangents_out, reach_of, step_input
@@ -33,7 +33,7 @@ from deep_contact.stepping.rows import (
     contact_rows,
     more_rows,
     move_walls,
-    room_for_walls,
+    with_wall_bodies,
 )
 from deep_contact.stepping.segment_grid import segments_in_grid
 
@@ -47,16 +47,16 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def build_rows(step, contacts, solver_bodies, drive):
+def build_rows(step, contacts, solver_bodies, actuation):
     """Fill the solver bodies of a step, after its impacts, and return its rows.
 
-    step: `StepInput`. drive: `Drive` of the step, or None.
+    step: `StepInput`. actuation: `Actuation` of the step, or None.
     """
-    integrate_velocities(step.bodies, step.gravity, step.dt, solver_bodies, drive)
+    integrate_velocities(step.bodies, step.gravity, step.dt, solver_bodies, actuation)
     buffer, radius = more_rows(contacts.body_a.shape[0], step.friction), step.bodies.radius
     rows = contact_rows(contacts, radius, step.segments, solver_bodies, buffer, step.friction, 1.0)
-    if drive is not None:
-        move_walls(contacts, step.segments, solver_bodies, rows, radius.shape[0], drive)
+    if actuation is not None:
+        move_walls(contacts, step.segments, solver_bodies, rows, radius.shape[0], actuation)
     return rows
 
 
@@ -102,7 +102,7 @@ def after_impacts(state: State) -> tuple[State, np.ndarray]:
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy(), spin=state.bodies.spin.copy())
     state, impacts = state.replace(bodies=bodies), np.zeros((state.contacts.count, 2))
     step = step_input(state, None)
-    rebound(step, state.contacts, impacts, step.drive)
+    rebound(step, state.contacts, impacts, step.actuation)
     return state, impacts
 
 
@@ -110,9 +110,9 @@ def step_problem(state: State, scales: ContactScales | None = None) -> StepProbl
     """The contact problem of the next step, with tangent rows. scales: those of the state, if at hand."""
     state, impacts = after_impacts(state)
     solver_bodies, step = np.empty((state.bodies.count + 4, 4)), step_input(state, None, scales)
-    if step.drive is not None:
-        solver_bodies = room_for_walls(solver_bodies, state.contacts, state.bodies.count, step.drive)
-    rows = build_rows(step, state.contacts, solver_bodies, step.drive)
+    if step.actuation is not None:
+        solver_bodies = with_wall_bodies(solver_bodies, state.contacts, state.bodies.count, step.actuation)
+    rows = build_rows(step, state.contacts, solver_bodies, step.actuation)
     return StepProblem(rows, solver_bodies, step.friction, impacts)
 
 
@@ -135,7 +135,7 @@ def contacts_of(state: State) -> Contacts:
     mass, n = bodies.mass if bodies.is_fixed.any() else None, bodies.count
     walls, cells = Walls(world.box, scales.wall_skin), make_cells(n)
     buffer = make_contacts(4 * n + 64)
-    found = find_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
+    found = detect_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
     # Bodies and geometry are copied, since they lie in a larger buffer. The four arrays of impulses are set to zero.
     return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
 

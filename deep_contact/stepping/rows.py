@@ -69,14 +69,14 @@ more_rows = njit(cache=True)(make_rows)
 
 
 @njit(inline="always")
-def room_for_walls(solver_bodies, contacts, n, drive):
+def with_wall_bodies(solver_bodies, contacts, n, actuation):
     """Solver bodies with a row for each contact with a moving segment: the same array, or a larger one if needed."""
-    if drive is None:
+    if actuation is None:
         return solver_bodies
     more = 0
     for i in range(contacts.body_b.shape[0]):
         s = contacts.body_b[i] - n - 4
-        more += s >= 0 and moves(drive.wall, s)
+        more += s >= 0 and moves(actuation.wall, s)
     return solver_bodies if more == 0 else np.empty((n + 4 + more, 4))
 
 
@@ -99,7 +99,7 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, sh
             rows.data[i, NORMAL_MASS] = 1.0 / (v[a, INVERSE_MASS] + v[b, INVERSE_MASS])
         else:
             arms = arms_of(radius, a, b, contacts.separation[i])
-            masses = effective_masses(v[a, INVERSE_MASS], v[b, INVERSE_MASS], arms)
+            masses = row_masses(v[a, INVERSE_MASS], v[b, INVERSE_MASS], arms)
             rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS] = masses
             rows.data[i, ARM_A], rows.data[i, ARM_B] = arms
             rows.impulse[i, TANGENT] = share * contacts.tangent_start[i]
@@ -126,7 +126,7 @@ def arms_of(radius, a, b, separation):
 
 
 @njit(cache=True, error_model="numpy")
-def effective_masses(w_a, w_b, arms):
+def row_masses(w_a, w_b, arms):
     """Effective masses of the normal and the tangent row, kg. w_a, w_b: inverse masses, 1/kg. arms: of `arms_of`."""
     arm_a, arm_b = arms
     return 1.0 / (w_a + w_b), 1.0 / (w_a + w_b + 2.0 * (arm_a * arm_a * w_a + arm_b * arm_b * w_b))
@@ -148,14 +148,14 @@ def move_surfaces(contacts, segments, solver_bodies, rows, last):
 
 
 @njit(cache=True, error_model="numpy")
-def move_walls(contacts, segments, solver_bodies, rows, n, drive):
+def move_walls(contacts, segments, solver_bodies, rows, n, actuation):
     """Give each contact with a moving segment a solver body of its own, in place. n: number of circles."""
     row = last = n + 3
     for i in range(contacts.body_a.shape[0]):
         s = contacts.body_b[i] - last - 1
-        if s >= 0 and moves(drive.wall, s):
+        if s >= 0 and moves(actuation.wall, s):
             row += 1
-            v_x, v_y = wall_velocity(segments.line, drive.wall, s, contacts.position[i, 0], contacts.position[i, 1])
+            v_x, v_y = wall_velocity(segments.line, actuation.wall, s, contacts.position[i, 0], contacts.position[i, 1])
             solver_bodies[row, V_X], solver_bodies[row, V_Y], solver_bodies[row, V_S] = v_x, v_y, 1.0
             rows.body[i, BODY_B] = row
 
@@ -244,12 +244,12 @@ def sweep(rows, friction, solver_bodies):
 
 
 @njit(cache=True)
-def store_impulses(rows, contacts, parts):
-    """Write the solved impulses of a substep, times the number `parts` of substeps, into the contacts, in place."""
+def store_impulses(rows, contacts, substeps):
+    """Write the solved impulses of a substep, times the number `substeps` of substeps, into the contacts, in place."""
     last = rows.impulse.shape[1] - 1
     for i in range(rows.body.shape[0]):
-        contacts.normal_impulse[i] = parts * rows.impulse[i, NORMAL]
-        contacts.tangent_impulse[i] = parts * rows.impulse[i, last] if last else 0.0
+        contacts.normal_impulse[i] = substeps * rows.impulse[i, NORMAL]
+        contacts.tangent_impulse[i] = substeps * rows.impulse[i, last] if last else 0.0
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,6 +1,6 @@
 """The segments of a world in a grid of cells, and the distance of a point from a segment.
 
-The grid is made once a run, and where a segment moves (`context.Drive`), after each of its moves.
+The grid is made once a run, and where a segment moves (`context.Actuation`), after each of its moves.
 """
 
 from __future__ import annotations
@@ -199,14 +199,14 @@ def near_box(segments, x_min, x_max, y_min, y_max, buffer):
 
 
 @njit(cache=True, error_model="numpy")
-def moved_segments(segments, drive, dt):
-    """The segments after Δt, in a new grid. Their lines move in place. drive: `context.Drive`."""
-    if drive.moving.shape[0] == 0:
+def moved_segments(segments, actuation, dt):
+    """The segments after Δt, in a new grid. Their lines move in place. actuation: `context.Actuation`."""
+    if actuation.moving.shape[0] == 0:
         return segments
     line = segments.line
-    for s in drive.moving:
+    for s in actuation.moving:
         for c in range(4):
-            line[s, c] += dt * drive.wall[s, c]
+            line[s, c] += dt * actuation.wall[s, c]
     return in_grid_again(line, segments.reach, 8 * line.shape[0] + 100)
 
 

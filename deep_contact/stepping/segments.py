@@ -6,8 +6,8 @@ segment or on a wall of the box, or just behind it, has no contact of its own: t
 Ghost vertices do this in chains of Box2D 2.3. Without this rule, a circle that rolls over a joint stumbles.
 
 No centre ever crosses a segment at rest. Continuous collision stops fast circles at it (`continuous`), and a centre
-that sweeps or position correction would push through it is clamped to its side (`hold_beside`). A moving segment passes
-over a circle that resting bodies hold in its way (`passing`).
+that sweeps or position correction would push through it is clamped to its side (`clamp_beside`). A moving segment
+passes over a circle that resting bodies hold in its way (`passing`).
 
 The path of a circle relative to a moving segment begins at the point to which the segment
 would have carried the circle's first position (`carried`).
@@ -50,11 +50,11 @@ def moves(wall, s):
 
 
 @njit(cache=True)
-def has_moving(drive):
-    """Whether any segment moves. drive: `Drive` of the step, or None."""
-    if drive is None:
+def has_moving(actuation):
+    """Whether any segment moves. actuation: `Actuation` of the step, or None."""
+    if actuation is None:
         return False
-    return drive.moving.shape[0] > 0
+    return actuation.moving.shape[0] > 0
 
 
 @njit(cache=True, error_model="numpy")
@@ -163,12 +163,12 @@ def insert_pairs(position, radius, walls, segments, body_a, body_b, m):
 
 
 @njit(cache=True, error_model="numpy")
-def first_crossing(segments, x, y, to_x, to_y, buffer, drive):
+def first_crossing(segments, x, y, to_x, to_y, buffer, actuation):
     """Share of the straight way from (x, y) to (to_x, to_y) at the first crossing of a segment at rest, or infinity."""
     first = math.inf
     for s in near_box(segments, min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y), buffer):
-        if drive is not None:
-            if moves(drive.wall, s):
+        if actuation is not None:
+            if moves(actuation.wall, s):
                 continue
         first = min(first, crossing(segments.line[s], x, y, to_x, to_y))
     return first
@@ -191,7 +191,7 @@ def crossing(segment, x, y, to_x, to_y):
 
 @njit(cache=True)
 def positions_before(bodies, segments):
-    """Positions at the start of a substep, for `hold_beside`: a copy, or without segments the positions themselves."""
+    """Positions at the start of a substep, for `clamp_beside`: a copy, or without segments the positions themselves."""
     if segments is None:
         return bodies.position
     return bodies.position.copy() if segments.line.shape[0] > 0 else bodies.position
@@ -217,7 +217,7 @@ def may_cross(bodies, before, solved):
 
 
 @njit(cache=True)
-def hold_beside(bodies, before, segments, drive):
+def clamp_beside(bodies, before, segments, actuation):
     """Put centres that have crossed a resting segment back, in place, to half of their way to the crossing.
 
     before: positions at the start of the substep, (n, 2), m. A centre crosses a segment only if it is pressed harder
@@ -226,26 +226,26 @@ def hold_beside(bodies, before, segments, drive):
     position, buffer, circles = bodies.position, np.empty_like(segments.every), np.empty(len(before), np.int64)
     for i in circles[: circles_beside(segments, before, position, circles)]:
         x, y = before[i, 0], before[i, 1]
-        share = 0.5 * first_crossing(segments, x, y, position[i, 0], position[i, 1], buffer, drive)
+        share = 0.5 * first_crossing(segments, x, y, position[i, 0], position[i, 1], buffer, actuation)
         if share <= 0.5:
             to_x, to_y = x + share * (position[i, 0] - x), y + share * (position[i, 1] - y)
             # A centre that lies on the line, but for rounding, stays where it was.
-            stays = first_crossing(segments, x, y, to_x, to_y, buffer, drive) <= 1.0
+            stays = first_crossing(segments, x, y, to_x, to_y, buffer, actuation) <= 1.0
             position[i, 0], position[i, 1] = (x, y) if stays else (to_x, to_y)
 
 
 @njit(cache=True, error_model="numpy")
-def hold_beside_moving(bodies, before, segments, solved, drive, dt):
-    """`hold_beside` for the moving segments, in place. They have moved for Δt, s. solved: contacts at the start of Δt.
+def clamp_beside_moving(bodies, before, segments, solved, actuation, dt):
+    """`clamp_beside` for the moving segments, in place. They have moved for Δt, s. solved: contacts at the start of Δt.
 
     A segment passes over a centre that it crosses if the circle had no contact with it, or was fast relative to it
     (`continuous`). Returns whether a centre has changed, and a circle over which a segment passes, or −1.
     """
     position, line, n = bodies.position, segments.line, bodies.mass.shape[0]
     changed, passed = False, np.int64(-1)
-    for s in drive.moving:
+    for s in actuation.moving:
         for i in range(n):
-            x, y = carried(line, drive.wall, s, dt, before[i, 0], before[i, 1])
+            x, y = carried(line, actuation.wall, s, dt, before[i, 0], before[i, 1])
             share = 0.5 * crossing(line[s], x, y, position[i, 0], position[i, 1])
             if share > 0.5 or bodies.mass[i] == math.inf:
                 continue

@@ -58,11 +58,11 @@ def make_sleep_memory(n: int, capacity: int) -> SleepMemory:
 
 
 @njit(inline="always")
-def all_asleep(sleep, drive):
+def all_asleep(sleep, actuation):
     """Whether all circles sleep and no segment moves. sleep: `SleepMemory`, or None if no circle may sleep."""
     if sleep is None:
         return False
-    if has_moving(drive):
+    if has_moving(actuation):
         return False
     for time in sleep.still:
         if time < np.inf:
@@ -77,13 +77,13 @@ def wake_pushed(contacts, sleep, step):
     If the change accelerates a free circle by less than `look_at_places` detects, the circle sleeps on. contacts: at
     the bodies' positions. step: `StepInput` with the external force of the next step.
     """
-    bodies, scales, drive, n = step.bodies, step.scales, step.drive, sleep.still.shape[0]
+    bodies, scales, actuation, n = step.bodies, step.scales, step.actuation, sleep.still.shape[0]
     most, is_any = 4.0 * STEADY * scales.sleep_speed / scales.sleep_time, False
     sleep.shortest[:] = np.inf
     for i in range(n):
         if sleep.still[i] == np.inf:
-            change = math.hypot(drive.force[i, 0] - sleep.force[i, 0], drive.force[i, 1] - sleep.force[i, 1])
-            change += abs(drive.torque[i] - sleep.torque[i]) / bodies.radius[i]
+            change = math.hypot(actuation.force[i, 0] - sleep.force[i, 0], actuation.force[i, 1] - sleep.force[i, 1])
+            change += abs(actuation.torque[i] - sleep.torque[i]) / bodies.radius[i]
             if change > most * bodies.mass[i]:
                 sleep.shortest[i], is_any = 0.0, True
     if is_any:
@@ -96,8 +96,8 @@ def wake_pushed(contacts, sleep, step):
                 sleep.still[i] = 0.0
     for i in range(n):
         if sleep.still[i] < np.inf:
-            sleep.force[i, 0], sleep.force[i, 1] = drive.force[i, 0], drive.force[i, 1]
-            sleep.torque[i] = drive.torque[i]
+            sleep.force[i, 0], sleep.force[i, 1] = actuation.force[i, 0], actuation.force[i, 1]
+            sleep.torque[i] = actuation.torque[i]
 
 
 @njit(inline="always")
@@ -134,7 +134,7 @@ def store_awake_impulses(active, contacts, sleep):
 
 
 @njit(inline="always")
-def hold_sleeping(solver_bodies, sleep):
+def stop_sleeping(solver_bodies, sleep):
     """Set the velocities of sleeping circles, to which gravity was added, back to 0, in place."""
     if sleep is None:
         return
@@ -165,11 +165,12 @@ def look_at_places(sleep, position, dt, scales):
 
 
 @njit(cache=True)
-def wake_and_put_to_sleep(step, contacts, sleep, drive):
+def wake_and_put_to_sleep(step, contacts, sleep, actuation):
     """Update the times for which circles have been still after Δt, wake islands and put islands to sleep, in place.
 
     A fixed circle is still if it does not move at all. An island that touches a moving segment is awake. contacts: at
-    the bodies' positions. sleep: `SleepMemory`, or None if no circle may sleep. drive: `Drive` of the step, or None.
+    the bodies' positions. sleep: `SleepMemory`, or None if no circle may sleep. actuation: `Actuation` of the step, or
+    None.
     """
     if sleep is None:
         return
@@ -195,8 +196,8 @@ def wake_and_put_to_sleep(step, contacts, sleep, drive):
         is_restless = contacts.separation[k] < -POSITION_TOLERANCE * scales.slop or (
             s >= 0 and segments.line[s, 4] != 0.0
         )
-        if drive is not None:
-            if s >= 0 and moves(drive.wall, s):
+        if actuation is not None:
+            if s >= 0 and moves(actuation.wall, s):
                 shortest[root] = 0.0
         if is_restless and shortest[root] < np.inf:
             shortest[root] = 0.0

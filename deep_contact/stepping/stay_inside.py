@@ -9,7 +9,7 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.state.arrays import WALL_NORMALS
 from deep_contact.stepping.contacts import wall_gap
-from deep_contact.stepping.segments import hold_beside, hold_beside_moving, may_cross
+from deep_contact.stepping.segments import clamp_beside, clamp_beside_moving, may_cross
 
 
 @njit(cache=True)
@@ -25,7 +25,7 @@ def any_outside(position, box):
 
 
 @njit(cache=True)
-def hold_inside(bodies, walls, solved):
+def clamp_to_box(bodies, walls, solved):
     """Clamp centres that have left the box in this step to half a radius inside of it, in place: walls win.
 
     A centre leaves the box only if it is pressed harder than the sweeps and position correction can withstand. solved:
@@ -47,26 +47,26 @@ def hold_inside(bodies, walls, solved):
 
 
 @njit(cache=True)
-def hold(bodies, before, walls, segments, solved, drive, dt):
-    """Clamp centres to the inside of the box and to their side of segments, in place (`hold_inside`, `hold_beside`).
+def clamp_inside(bodies, before, walls, segments, solved, actuation, dt):
+    """Clamp centres to the inside of the box and to their side of segments, in place (`clamp_to_box`, `clamp_beside`).
 
     before: positions at the start of the substep, (n, 2), m; read only if there are segments (`positions_before`).
-    solved: contacts at those positions. drive: `Drive` of the substep, or None. dt: Δt of the substep, s.
+    solved: contacts at those positions. actuation: `Actuation` of the substep, or None. dt: Δt of the substep, s.
     Returns a circle over which a moving segment passes, or −1.
     """
     passed = np.int64(-1)
     if any_outside(bodies.position, walls.box):
-        hold_inside(bodies, walls, solved)
+        clamp_to_box(bodies, walls, solved)
     if segments is not None:
         if segments.line.shape[0] > 0 and may_cross(bodies, before, solved):
-            hold_beside(bodies, before, segments, drive)
-    if drive is not None:
-        # Resting bodies come last, so that they win over moving ones. `hold_beside` puts a centre between two points of
-        # the box, and so into the box.
-        changed, passed = hold_beside_moving(bodies, before, segments, solved, drive, dt)
+            clamp_beside(bodies, before, segments, actuation)
+    if actuation is not None:
+        # Resting bodies come last, so that they win over moving ones. `clamp_beside` puts a centre between two points
+        # of the box, and so into the box.
+        changed, passed = clamp_beside_moving(bodies, before, segments, solved, actuation, dt)
         if any_outside(bodies.position, walls.box):
-            hold_inside(bodies, walls, solved)
+            clamp_to_box(bodies, walls, solved)
             changed = True
         if changed:
-            hold_beside(bodies, before, segments, drive)
+            clamp_beside(bodies, before, segments, actuation)
     return passed

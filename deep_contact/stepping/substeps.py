@@ -19,34 +19,34 @@ from deep_contact.compiled import njit
 from deep_contact.state.arrays import WALL_NORMALS
 from deep_contact.stepping.broad_phase import circles_around, refresh_list, sort_into_cells, sum_of
 from deep_contact.stepping.contacts import wall_gap
-from deep_contact.stepping.context import part_of
+from deep_contact.stepping.context import substep_of
 from deep_contact.stepping.segment_grid import is_free, near_box, segment_gap
 from deep_contact.stepping.segments import wall_velocity
 
 
 @njit(inline="always")
-def part_by_motion(step, part, cells, drive):
-    """Input of the substeps into which motion divides the solver's next substep; `part` itself if nothing changes."""
-    parts = parts_of(step, cells, drive)
-    return part if parts * step.parts == part.parts else part_of(step, step.segments, parts)
+def substep_by_motion(step, substep, cells, actuation):
+    """Input of the parts into which motion divides the solver's next substep; `substep` itself if none changes."""
+    substeps = substeps_by_motion(step, cells, actuation)
+    return substep if substeps * step.substeps == substep.substeps else substep_of(step, step.segments, substeps)
 
 
 @njit(inline="always")
-def fly_on(step, part, contacts, change, drive, shifts):
+def fly_on(step, substep, contacts, change, actuation, shifts):
     """Adapt circles in flight to another Δt (`shift_flights`), if motion divides the solver's substep.
 
-    step: `StepInput` of the solver's substep. part: `StepInput` after the division. change: decrease of Δt, s. shifts:
-    of `StepLog`.
+    step: `StepInput` of the solver's substep. substep: `StepInput` after the division. change: decrease of Δt, s.
+    shifts: of `StepLog`.
     """
-    if part.parts > step.parts and step.restitution > 0.0:
-        shift_flights(step.bodies, contacts, step.gravity, change, drive, shifts)
+    if substep.substeps > step.substeps and step.restitution > 0.0:
+        shift_flights(step.bodies, contacts, step.gravity, change, actuation, shifts)
 
 
 @njit(cache=True, error_model="numpy")
-def parts_of(step, cells, drive):
+def substeps_by_motion(step, cells, actuation):
     """Number of substeps into which motion divides the solver's next substep: a power of two.
 
-    step: `StepInput`. cells: `Cells`, overwritten. drive: `Drive` of the step, or None.
+    step: `StepInput`. cells: `Cells`, overwritten. actuation: `Actuation` of the step, or None.
     """
     motion = step.motion
     if motion.most == 1 or step.bodies.mass.shape[0] == 0:
@@ -54,14 +54,14 @@ def parts_of(step, cells, drive):
     dt, slow = step.dt, motion.reach / step.dt
     pairs, walls = fastest_possible(step.bodies.velocity, step.gravity, dt)
     fastest = slow
-    if walls + fastest_wall(drive) > slow:
-        fastest = fastest_onto_walls(step, fastest, drive)
+    if walls + fastest_wall(actuation) > slow:
+        fastest = fastest_onto_walls(step, fastest, actuation)
     if pairs > slow and fastest * dt <= 0.5 * motion.most * motion.reach:  # otherwise the limit is reached
         fastest = fastest_pair(step, cells, pairs * dt, fastest)
-    parts = 1
-    while parts < motion.most and fastest * dt > parts * motion.reach:
-        parts *= 2
-    return parts
+    substeps = 1
+    while substeps < motion.most and fastest * dt > substeps * motion.reach:
+        substeps *= 2
+    return substeps
 
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
@@ -80,21 +80,21 @@ def fastest_possible(velocity, gravity, dt):
 
 
 @njit(cache=True)
-def fastest_wall(drive):
+def fastest_wall(actuation):
     """The speed of the fastest end of a moving segment, m/s; 0 without one."""
     speed = 0.0
-    if drive is not None:
-        for s in drive.moving:
+    if actuation is not None:
+        for s in actuation.moving:
             for end in (0, 2):
-                speed = max(speed, math.hypot(drive.wall[s, end], drive.wall[s, end + 1]))
+                speed = max(speed, math.hypot(actuation.wall[s, end], actuation.wall[s, end + 1]))
     return speed
 
 
 @njit(cache=True, error_model="numpy")
-def fastest_onto_walls(step, fastest, drive):
+def fastest_onto_walls(step, fastest, actuation):
     """The fastest approach that closes a gap between circle and wall or segment within Δt, m/s; at least `fastest`."""
     bodies, box, segments, dt, skin = step.bodies, step.box, step.segments, step.dt, step.scales.wall_skin
-    buffer, start, grid, speed = np.empty_like(segments.every), segments.start, segments.grid, fastest_wall(drive)
+    buffer, start, grid, speed = np.empty_like(segments.every), segments.start, segments.grid, fastest_wall(actuation)
     for i in range(bodies.mass.shape[0]):
         v_x, v_y = bodies.velocity[i, 0] + dt * step.gravity[0], bodies.velocity[i, 1] + dt * step.gravity[1]
         if speed == 0.0 and v_x * v_x + v_y * v_y <= fastest * fastest:
@@ -113,8 +113,8 @@ def fastest_onto_walls(step, fastest, drive):
         for s in near_box(segments, x - far, x + far, y - far, y + far, buffer):
             gap, n_x, n_y = segment_gap(segments.line[s], x, y)
             approach = v_x * n_x + v_y * n_y
-            if drive is not None:
-                w_x, w_y = wall_velocity(segments.line, drive.wall, s, x, y)
+            if actuation is not None:
+                w_x, w_y = wall_velocity(segments.line, actuation.wall, s, x, y)
                 approach -= w_x * n_x + w_y * n_y
             if approach > fastest and gap - reach < approach * dt:
                 fastest = approach
@@ -159,7 +159,7 @@ def fastest_of(step, a, near, first, last, fastest):
 
 
 @njit(cache=True)
-def shift_flights(bodies, contacts, gravity, change, drive, shifts):
+def shift_flights(bodies, contacts, gravity, change, actuation, shifts):
     """Shift the velocities of circles in flight, in place, so that their flight goes on although Δt changes.
 
     Symplectic Euler is a leapfrog: velocities are those of half a step before. Each bounce is divided on the way down
@@ -177,8 +177,8 @@ def shift_flights(bodies, contacts, gravity, change, drive, shifts):
             continue
         for axis in range(2):
             shift = 0.5 * change * gravity[axis]
-            if drive is not None:
-                shift += 0.5 * change * drive.force[i, axis] / bodies.mass[i]
+            if actuation is not None:
+                shift += 0.5 * change * actuation.force[i, axis] / bodies.mass[i]
             bodies.velocity[i, axis] += shift
             if shifts.shape[0] > 0:
                 shifts[i, axis] += bodies.mass[i] * shift

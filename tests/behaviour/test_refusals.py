@@ -13,7 +13,7 @@ import deep_contact as dc
 from deep_contact import sph
 from deep_contact.analysis.lcp import check_problem, contact_problem
 from deep_contact.analysis.matrix_solvers import solve_problem
-from deep_contact.cnn.far_field import FarFieldSpec, describe
+from deep_contact.cnn.far_field import FarFieldSpec, description_of
 from deep_contact.cnn.images import ImageSpec, input_image, label_image, read_back
 from deep_contact.cnn.through_solver import solved_problem
 from deep_contact.state.checks import check_state
@@ -205,8 +205,8 @@ REFUSED = [
     (label_image, {"state": TOUCHING, "spec": ImageSpec()}, "solved"),
     (read_back, {"image": np.zeros((61, 61, 1)), "state": TOUCHING, "spec": ImageSpec()}, r"\(61, 61, 2\)"),
     (read_back, {"image": np.full((61, 61, 2), math.nan), "state": TOUCHING, "spec": ImageSpec()}, "finite"),
-    (describe, {"state": COLUMN, "spec": FarFieldSpec()}, r"state\.contacts: expected"),
-    (describe, {"state": dc.find_contacts(dc.single_body(height=5.0)), "spec": FarFieldSpec()}, "contacts: expected"),
+    (description_of, {"state": COLUMN, "spec": FarFieldSpec()}, r"state\.contacts: expected"),
+    (description_of, {"state": dc.find_contacts(dc.single_body(height=5.0)), "spec": FarFieldSpec()}, "contacts: exp"),
     # contact problems
     (dc.solve_exactly, {"state": None}, "state: expected"),
     (dc.solve_exactly, {"state": COLUMN}, r"state\.contacts: expected"),

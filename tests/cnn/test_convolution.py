@@ -69,7 +69,7 @@ def test_a_network_of_other_layers_is_refused():
 @pytest.mark.parametrize("support", [0.4, 1.0, 1.7])
 def test_the_image_is_the_splat_of_the_contacts_and_of_the_circles(support, falling_states):
     spec, state = far_field.FarFieldSpec(support=support), falling_states[3]
-    found = far_field.describe(state, spec)
+    found = far_field.description_of(state, spec)
     measured = far_field._measure(
         state.bodies, state.contacts, *step_problem(state)[:2], state.world.box, state.world.friction, False, 0
     )

@@ -6,7 +6,7 @@ from conftest import circles_at, solved_states
 from symmetry import transform_state
 
 import deep_contact as dc
-from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec, correct, corrected, describe, window_side
+from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec, correct, corrected, description_of, window_side
 from deep_contact.cnn.inference import FarFieldModel
 from deep_contact.cnn.start import Cnn
 
@@ -20,7 +20,7 @@ def state(falling_states):
 
 @pytest.mark.parametrize("symmetry", range(1, 8))
 def test_a_turned_state_is_described_as_the_state_turned(state, symmetry):
-    turned, expected = describe(state, SPEC, symmetry), describe(transform_state(state, symmetry), SPEC)
+    turned, expected = description_of(state, SPEC, symmetry), description_of(transform_state(state, symmetry), SPEC)
     np.testing.assert_allclose(turned.point, expected.point, atol=1e-12)
     np.testing.assert_allclose(turned.image, expected.image, atol=2e-5)
     # Features stay in the frame of the solver: a mirror changes the sign of λ_t.
@@ -35,14 +35,14 @@ def test_scaling_all_velocities_scales_features_and_leaves_the_image(state):
         normal_start=factor * state.contacts.normal_start, tangent_start=factor * state.contacts.tangent_start
     )
     bodies = state.bodies._replace(velocity=factor * state.bodies.velocity, spin=factor * state.bodies.spin)
-    scaled = describe(state.replace(world=world, bodies=bodies, contacts=contacts), SPEC)
-    plain = describe(state, SPEC)
+    scaled = description_of(state.replace(world=world, bodies=bodies, contacts=contacts), SPEC)
+    plain = description_of(state, SPEC)
     np.testing.assert_allclose(scaled.image, plain.image, atol=2e-5)
     np.testing.assert_allclose(scaled.features, factor * plain.features, rtol=1e-9, atol=1e-12)
 
 
 def test_the_window_spans_the_contacts_and_no_more(state):
-    description = describe(state, SPEC)
+    description = description_of(state, SPEC)
     x_min, y_min, x_max, y_max = description.grid.box
     low, high = state.contacts.position.min(axis=0), state.contacts.position.max(axis=0)
     assert (low - (x_min, y_min) >= 1.0 - 1e-9).all()
@@ -53,7 +53,7 @@ def test_the_window_spans_the_contacts_and_no_more(state):
 
 def image_beside(place):
     """The image of a circle on the floor at x = 15 m, and of one that touches nothing."""
-    return describe(dc.find_contacts(circles_at([[15.0, 1.0], place])), SPEC).image
+    return description_of(dc.find_contacts(circles_at([[15.0, 1.0], place])), SPEC).image
 
 
 @pytest.mark.parametrize("place", [(22.5, 3.0), (13.5, 3.0), (15.0, 7.5)])
@@ -65,7 +65,9 @@ def test_a_circle_outside_the_window_is_not_painted(place):
 
 def test_an_empty_part_of_the_box_changes_nothing(state):
     world = dc.World(box=(-20.0, 0.0, 90.0, 200.0), gravity=state.world.gravity)
-    np.testing.assert_array_equal(describe(state.replace(world=world), SPEC).image, describe(state, SPEC).image)
+    np.testing.assert_array_equal(
+        description_of(state.replace(world=world), SPEC).image, description_of(state, SPEC).image
+    )
 
 
 def test_small_circles_look_like_large_ones(state):
@@ -76,27 +78,30 @@ def test_small_circles_look_like_large_ones(state):
     )
     contacts = state.contacts._replace(position=c * state.contacts.position, separation=c * state.contacts.separation)
     world = dc.World(box=tuple(c * x for x in state.world.box), gravity=state.world.gravity)
-    small, plain = describe(state.replace(world=world, bodies=bodies, contacts=contacts), SPEC), describe(state, SPEC)
+    small, plain = (
+        description_of(state.replace(world=world, bodies=bodies, contacts=contacts), SPEC),
+        description_of(state, SPEC),
+    )
     np.testing.assert_allclose(small.image, plain.image, atol=2e-5)
     np.testing.assert_allclose(small.features, plain.features, rtol=1e-9, atol=1e-9)
 
 
 def test_far_away_contacts_make_a_coarser_window():
     spread = circles_at([[0.9, 0.9], [9_999.1, 0.9]], radius=0.95, box=(0.0, 0.0, 10_000.0, 30.0))
-    description = describe(dc.find_contacts(spread), SPEC)
+    description = description_of(dc.find_contacts(spread), SPEC)
     assert max(description.image.shape) <= 1025
     assert description.grid.box[2] > 9_999.1
 
 
 def test_with_no_coefficients_the_start_is_builtins(state):
-    start = corrected(describe(state, SPEC), np.zeros((state.contacts.count, len(COEFFICIENTS))))
+    start = corrected(description_of(state, SPEC), np.zeros((state.contacts.count, len(COEFFICIENTS))))
     np.testing.assert_array_equal(start[:, 0], state.contacts.normal_start)
     np.testing.assert_array_equal(start[:, 1], state.contacts.tangent_start)
 
 
 def test_a_uniform_stress_gives_impulses_by_the_normal(state):
     # S = [[1, 0], [0, -1]] plus the trace 2: λ_n = 2 + n_x² − n_y², λ_t = t·S·n = 2 n_x n_y, in units of k_n s.
-    description = describe(state, SPEC)
+    description = description_of(state, SPEC)
     coefficients = np.zeros((state.contacts.count, len(COEFFICIENTS)))
     coefficients[:, COEFFICIENTS.index("stress_trace")] = 2.0
     coefficients[:, COEFFICIENTS.index("stress_xx")] = 1.0
@@ -109,7 +114,7 @@ def test_a_uniform_stress_gives_impulses_by_the_normal(state):
 
 def test_coefficients_are_read_bilinearly(state):
     # A linear field of stress is read exactly.
-    description = describe(state, SPEC)
+    description = description_of(state, SPEC)
     x, y = np.meshgrid(*(nodes[::2] for nodes in description.grid.nodes))
     image = np.zeros((*x.shape, len(COEFFICIENTS)), np.float32)
     image[:, :, COEFFICIENTS.index("stress_trace")] = 1.0 + 2.0 * x - 0.5 * y

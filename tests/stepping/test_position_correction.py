@@ -6,7 +6,7 @@ from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.stepping import position_correction
-from deep_contact.stepping.position_correction import fill_levels, make_correction_room
+from deep_contact.stepping.position_correction import fill_levels, make_correction_workspace
 from deep_contact.stepping.problem import contacts_of
 from deep_contact.stepping.segment_grid import NO_SEGMENTS
 
@@ -46,7 +46,7 @@ def in_turn(state, sweeps):
 @pytest.mark.parametrize("seed", range(4))
 def test_eight_at_a_time_compute_the_same_bits(seed, sweeps):
     state = heap(600, seed)
-    room = make_correction_room(600, state.contacts.count)
+    room = make_correction_workspace(600, state.contacts.count)
     expected = in_turn(state, sweeps)
     assert (expected != state.bodies.position).any() == (sweeps > 0)
     for last in (0, 10):  # tiles from the third sweep on, and from the first
@@ -77,7 +77,7 @@ def test_the_end_is_the_same():
     for share in (1.0, 0.996, 0.995):
         squeezed = state.replace(bodies=state.bodies._replace(position=share * state.bodies.position))
         squeezed = squeezed.replace(contacts=contacts_of(squeezed))
-        room = make_correction_room(400, squeezed.contacts.count)
+        room = make_correction_workspace(400, squeezed.contacts.count)
         room.memory["sweeps"] = 10
         found = corrected(squeezed, 20_000, room)
         np.testing.assert_array_equal(found, in_turn(squeezed, 20_000))
@@ -89,7 +89,7 @@ def test_the_end_is_the_same():
 def test_levels_hold_every_contact_once_after_those_before_it():
     state = heap(500, 7)
     n, contacts = 500, state.contacts
-    room = make_correction_room(n, contacts.count)
+    room = make_correction_workspace(n, contacts.count)
     tiles = fill_levels(contacts, n, room)
     pairs = room.body[:tiles].transpose(0, 2, 1).reshape(-1, 2).astype(int)
     used = pairs[pairs[:, 0] != n + 4]
@@ -107,7 +107,7 @@ def test_levels_hold_every_contact_once_after_those_before_it():
 @pytest.mark.filterwarnings("ignore:.*solved to a tolerance")
 def test_a_column_is_corrected_contact_by_contact():
     state = dc.simulate(dc.column(40), steps=5).state
-    room = make_correction_room(40, state.contacts.count)
+    room = make_correction_workspace(40, state.contacts.count)
     assert fill_levels(state.contacts, 40, room) == 0
     room.memory["sweeps"] = 10
     found = corrected(state, 10, room)
@@ -117,5 +117,5 @@ def test_a_column_is_corrected_contact_by_contact():
 
 def test_the_room_grows():
     state = heap(200, 3, ratio=1.5)
-    found = corrected(state, 4, make_correction_room(200, 10))
+    found = corrected(state, 4, make_correction_workspace(200, 10))
     np.testing.assert_array_equal(found, in_turn(state, 4))

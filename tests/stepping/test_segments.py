@@ -13,7 +13,7 @@ import deep_contact as dc
 from deep_contact.solvers import METHODS
 from deep_contact.stepping.problem import contacts_of
 from deep_contact.stepping.segment_grid import END, START, circles_beside, in_grid, near_box, segments_in_grid
-from deep_contact.stepping.segments import hold_beside, time_to_touch, touches
+from deep_contact.stepping.segments import clamp_beside, time_to_touch, touches
 
 BOX = (0.0, 0.0, 60.0, 40.0)
 EVERYWHERE = (-1e10, -1e10, 1e10, 1e10)
@@ -310,7 +310,7 @@ def test_nothing_passes_through_a_segment(seed, speed, name, dt):
 def test_what_has_crossed_a_segment_is_put_half_way_to_it():
     # From (4, 7) to (6, 3) it crosses y = 5 at (5, 5).
     state = scene([[6.0, 3.0], [30.0, 3.0]], ((0, 5), (10, 5)))
-    hold_beside(state.bodies, np.array([[4.0, 7.0], [30.0, 7.0]]), segments_in_grid(state.world, 1.0), None)
+    clamp_beside(state.bodies, np.array([[4.0, 7.0], [30.0, 7.0]]), segments_in_grid(state.world, 1.0), None)
     np.testing.assert_allclose(state.bodies.position, [[4.5, 6.0], [30.0, 3.0]], rtol=1e-15)
 
 

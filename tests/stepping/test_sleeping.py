@@ -5,7 +5,7 @@ import pytest
 from conftest import assert_same_bits, circles_at
 
 import deep_contact as dc
-from deep_contact.stepping.context import with_rare
+from deep_contact.stepping.context import with_optional
 from deep_contact.stepping.inputs import step_input
 from deep_contact.stepping.problem import contacts_of
 from deep_contact.stepping.sleeping import make_sleep_memory, wake_and_put_to_sleep
@@ -106,7 +106,7 @@ def still_after_a_step(scene, still):
     scene = scene.replace(contacts=contacts_of(scene))
     sleep = make_sleep_memory(1, 4)
     sleep.still[:], sleep.place[:] = still, scene.bodies.position
-    wake_and_put_to_sleep(with_rare(step_input(scene, dc.PGS())), scene.contacts, sleep, None)
+    wake_and_put_to_sleep(with_optional(step_input(scene, dc.PGS())), scene.contacts, sleep, None)
     return sleep.still[0]
 
 

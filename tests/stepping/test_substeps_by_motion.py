@@ -13,7 +13,7 @@ from deep_contact.stepping.inputs import step_input
 from deep_contact.stepping.metrics import kinetic_energy
 from deep_contact.stepping.prepare import ready
 from deep_contact.stepping.segment_grid import segments_of
-from deep_contact.stepping.substeps import parts_of, shift_flights
+from deep_contact.stepping.substeps import shift_flights, substeps_by_motion
 from deep_contact.studies.extremes import mechanical_energy
 
 MOTION = dc.PGS(sweeps=5, tolerance=None, most_substeps=16, approach=0.02, slop=0.5)
@@ -52,7 +52,7 @@ def test_the_number_of_parts_is_that_of_the_fastest_approach_of_all(speed, segme
         wanted = fastest_approach(state) * state.dt / (0.02 * state.bodies.radius.mean())
         given = step_input(ready(state), MOTION)
         expected = 1 if wanted <= 1 else min(16, 2 ** math.ceil(math.log2(wanted)))
-        assert parts_of(given, cells, None) == expected
+        assert substeps_by_motion(given, cells, None) == expected
 
 
 @pytest.mark.parametrize("height", [2.0, 5.0, 20.0])

@@ -6,7 +6,7 @@ import numpy as np
 
 from deep_contact.cnn.backend import tensorflow as tf
 from deep_contact.cnn.dataset import start_errors
-from deep_contact.cnn.far_field import COARSENING, corrected, describe, nodes_of
+from deep_contact.cnn.far_field import COARSENING, corrected, description_of, nodes_of
 from deep_contact.cnn.through_solver import errors_after, loss_and_gradient, solved_problem
 from deep_contact.cnn.training.network import NetworkRun
 
@@ -42,7 +42,7 @@ class FarFieldRun(NetworkRun):
         """Yields (description, problem) of each of the states (k, 2)."""
         for place, k in zip(states.tolist(), symmetry.tolist()):
             state = self.store.state(*place)
-            yield describe(state, self.spec, k), solved_problem(state)
+            yield description_of(state, self.spec, k), solved_problem(state)
 
     def coefficients(self, descriptions):
         """The network's coefficients at the contacts of descriptions with windows of one shape, (K, 12)."""
