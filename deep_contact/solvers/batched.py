@@ -151,7 +151,7 @@ class BatchWorkspace(Structure):
     """
 
 
-define(BatchWorkspace, _BatchWorkspaceType, ("plan", "tiles", "solved", "contacts", "memory", "received"))
+define(BatchWorkspace, _BatchWorkspaceType, ("plan", "tiles", "solved", "contacts", "memory", "pair_impulses"))
 
 
 @njit(cache=True)
