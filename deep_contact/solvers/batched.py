@@ -140,7 +140,7 @@ def correct_positions_in_batches(plan, tiles, bodies, scales, sweeps):
 
 
 class _BatchWorkspaceType(StructureType):
-    """Numba's type of a `Room`."""
+    """Numba's type of a `BatchWorkspace`."""
 
 
 class BatchWorkspace(Structure):
@@ -156,7 +156,7 @@ define(BatchWorkspace, _BatchWorkspaceType, ("plan", "tiles", "solved", "contact
 
 @njit(cache=True)
 def make_batch_workspace(contacts, setup):
-    """A `Room` for steps that start from these contacts. setup: `StepSetup`."""
+    """A `BatchWorkspace` for steps that start from these contacts. setup: `StepSetup`."""
     memory = setup.memory
     n = memory.cells.cell.shape[0]
     plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1)
@@ -165,20 +165,20 @@ def make_batch_workspace(contacts, setup):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance_in_batches(setup, contacts, workspace, log, actuation):
-    """`algorithm.advance` for `BatchedPGS`. workspace: `Room`, which each call passes on to the next."""
+    """`algorithm.advance` for `BatchedPGS`. workspace: `BatchWorkspace`, which each call passes on to the next."""
     step, options = setup.step, setup.options
     workspace.contacts, workspace.memory, workspace.pair_impulses = contacts, setup.memory, log.pair_impulses
     if actuation is not None:
         step = substep_of(step, moved_segments(step.segments, actuation, 0.0))
-    substep, turn, buffers = step, 0, workspace.memory.contacts
+    substep, buffer_index, buffers = step, 0, workspace.memory.contacts
     for j in range(log.progress[DONE], step.substeps * log.contacts.shape[0]):
         if step.motion.most > 1:
             substep = substep_by_motion(step, substep, workspace.memory.cells, actuation)
             fly_on(step, substep, workspace.contacts, step.dt - substep.dt, actuation, log.shifts)
         for _ in range(substep.substeps // step.substeps):
-            turn = 1 - turn
+            buffer_index = 1 - buffer_index
             segments = do_substep_in_batches(
-                substep, options, workspace, buffers[turn], log, j // step.substeps, actuation
+                substep, options, workspace, buffers[buffer_index], log, j // step.substeps, actuation
             )
             if actuation is not None:
                 substep, step = substep_of(substep, segments), substep_of(step, segments)
@@ -258,7 +258,7 @@ def take_velocities(solver_bodies, velocities):
 
 @njit(cache=True, error_model="numpy")
 def plan_substep(substep, workspace):
-    """Plan the batches of the room's contacts, and allocate their tiles if needed, in place."""
+    """Plan the batches of the contacts of the workspace, and allocate their tiles if needed, in place."""
     n, contacts = substep.bodies.mass.shape[0], workspace.contacts
     if not batches.is_plan_of(workspace.plan, n, contacts, workspace.solved):
         workspace.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, workspace.plan)

@@ -52,7 +52,7 @@ def advance(setup, contacts, motion, sleep, log, actuation):
     step, memory = setup.step, setup.memory
     if actuation is not None:
         step = substep_of(step, moved_segments(step.segments, actuation, 0.0))
-    substep, turn, pair_impulses = step, 0, log.pair_impulses
+    substep, buffer_index, pair_impulses = step, 0, log.pair_impulses
     for j in range(log.progress[DONE], step.substeps * log.contacts.shape[0]):
         if sleeping.all_asleep(sleep, actuation):
             log_substep(log, j // step.substeps, 0, 0, memory.theta, 0)
@@ -65,9 +65,9 @@ def advance(setup, contacts, motion, sleep, log, actuation):
             substep = substep_by_motion(step, substep, memory.cells, actuation)
             fly_on(step, substep, contacts, step.dt - substep.dt, actuation, log.shifts)
         for _ in range(substep.substeps // step.substeps):
-            turn = 1 - turn
+            buffer_index = 1 - buffer_index
             is_whole, contacts, pair_impulses, segments = do_substep(
-                substep, motion, contacts, sleep, setup, log, pair_impulses, j // step.substeps, turn, actuation
+                substep, motion, contacts, sleep, setup, log, pair_impulses, j // step.substeps, buffer_index, actuation
             )
             if not is_whole:
                 return contacts, pair_impulses
@@ -83,8 +83,8 @@ def advance(setup, contacts, motion, sleep, log, actuation):
 
 
 @njit(inline="always")
-def do_substep(substep, motion, contacts, sleep, setup, log, pair_impulses, k, turn, actuation):
-    """Do a substep of the k-th step: velocities, positions, and the contacts of the next substep, in buffer `turn`.
+def do_substep(substep, motion, contacts, sleep, setup, log, pair_impulses, k, buffer_index, actuation):
+    """Do a substep of the k-th step: velocities, positions, and the contacts of the next substep, in one of two buffers.
 
     Returns whether the substep was done, and the contacts, `StepLog.pair_impulses` and the segments after it. If a
     circle is fast and the code for continuous collision is missing, the substep is not done: the function returns
@@ -118,7 +118,7 @@ def do_substep(substep, motion, contacts, sleep, setup, log, pair_impulses, k, t
         return False, contacts, pair_impulses, segments
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
     # The contacts of the next substep, and the circles that sleep in it.
-    walls, mass, buffer = Walls(box, scales.wall_skin), mass_if_fixed(bodies, actuation), memory.contacts[turn]
+    walls, mass, buffer = Walls(box, scales.wall_skin), mass_if_fixed(bodies, actuation), memory.contacts[buffer_index]
     passed = clamp_inside(bodies, before, walls, segments, contacts, actuation, substep.dt)
     following = detect_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
     if actuation is not None:
