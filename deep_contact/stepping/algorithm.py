@@ -84,7 +84,7 @@ def advance(setup, contacts, motion, sleep, log, actuation):
 
 @njit(inline="always")
 def do_substep(substep, motion, contacts, sleep, setup, log, pair_impulses, k, buffer_index, actuation):
-    """Do a substep of the k-th step: velocities, positions, and the contacts of the next substep, in one of two buffers.
+    """Do a substep of the k-th step: velocities, positions, and, in one of two buffers, the contacts of the next one.
 
     Returns whether the substep was done, and the contacts, `StepLog.pair_impulses` and the segments after it. If a
     circle is fast and the code for continuous collision is missing, the substep is not done: the function returns
