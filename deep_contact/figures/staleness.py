@@ -115,7 +115,7 @@ def _files(file: Path, code: _Code, body: list[ast.stmt]) -> set[Path]:
     """The modules and the data files behind a module's imports and texts, but for those of `DRAWING`."""
     texts = [one.value for node in body for one in ast.walk(node) if isinstance(one, ast.Constant)]
     names = [text for text in texts if isinstance(text, str) and text.endswith(".json") and "/" not in text]
-    files = {folder / name for name in names for folder in (file.parent, file.parent / "reference", ROOT / "models")}
+    files = {folder / name for name in names for folder in (file.parent, ROOT / "models")}
     for pair in code.imported | code.used:
         home, whole = _home(*pair)[0], ".".join(_home(*pair))
         places = {_place(one) for one in (home, f"{home}.__init__", whole, f"{whole}.__init__")}

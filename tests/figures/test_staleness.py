@@ -111,7 +111,7 @@ def test_moves_make_nothing_old(old):
     whole["deep_contact/stepping/engine.py"] = FILES[ENGINE].replace(
         "deep_contact import", "deep_contact.stepping import"
     )
-    runs = {"deep_contact/accuracy/runs.json": None, "deep_contact/stepping/runs.json": "[1]"}
+    runs = {"deep_contact/runs.json": None, "deep_contact/stepping/runs.json": "[1]"}
     assert old(whole | runs) == old(split) == old(into) == ["", ""]
 
 
@@ -124,7 +124,7 @@ def test_moves_make_nothing_old(old):
         (edited(SCRIPT, '"n": 3', '"n": 4'), "figure_9_1.OPTIONS"),
         (edited(SCRIPT, "dc.sweep(", "2 * dc.sweep("), "figure_9_1.compute"),
         (edited(SCRIPT, "OPTIONS =", "MORE = 1\nOPTIONS ="), "figure_9_1.MORE"),
-        ({"deep_contact/accuracy/runs.json": "[2]"}, "runs.json"),
+        ({"deep_contact/runs.json": "[2]"}, "runs.json"),
     ],
 )
 def test_another_script_study_or_table_makes_a_result_old(old, changed, name):

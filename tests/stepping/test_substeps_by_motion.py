@@ -16,7 +16,8 @@ from deep_contact.stepping.segment_grid import segments_of
 from deep_contact.stepping.substeps import shift_flights, substeps_by_motion
 from deep_contact.studies.extremes import mechanical_energy
 
-MOTION = dc.PGS(sweeps=5, tolerance=None, most_substeps=16, approach=0.02, slop=0.5)
+OPTIONS = {"sweeps": 5, "tolerance": None, "most_substeps": 16, "approach": 0.02, "slop": 0.5}
+MOTION = dc.PGS(**OPTIONS)
 
 
 def fastest_approach(state):
@@ -83,7 +84,7 @@ def test_a_run_by_motion_is_the_run_of_the_steps_it_chose():
 
 def test_batches_divide_by_motion():
     scene = dc.lattice_in_box(200, seed=4)
-    batches = dc.BatchedPGS(**vars(replace(MOTION, sweeps=8)))
+    batches = dc.BatchedPGS(**OPTIONS | {"sweeps": 8})
     assert dc.simulate(scene, steps=120, solver=batches).substeps.max() > 1
 
 
@@ -103,7 +104,7 @@ def test_a_pile_at_rest_takes_the_fewest_and_its_changes_give_no_energy():
 def test_bounces_by_motion_keep_their_energy_and_their_bits(solver):
     # Divided on the way down and not on the way up: without the leapfrog's shift a bounce changes the energy by g Δt v.
     scene = dc.circles_in_box(12, friction=0.0, restitution=1.0, seed=3)
-    motion = solver(**vars(MOTION))
+    motion = solver(**OPTIONS)
     run = dc.simulate(scene, steps=600, solver=motion)
     assert run.substeps.max() > 4
     energy = [mechanical_energy(scene, bodies) for bodies in (scene.bodies, run.state.bodies)]
