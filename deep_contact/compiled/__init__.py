@@ -28,7 +28,7 @@ _check, linalg.ensure_blas = linalg.ensure_blas, lambda: None
 try:
     from numba.np import arraymath  # noqa: F401
 
-    from deep_contact.compiled.lean import LeanDispatcher, uncollected
+    from deep_contact.compiled.lean import LeanDispatcher, counted_alone, uncollected
 finally:
     linalg.ensure_blas = _check
 
@@ -76,7 +76,7 @@ class _Dispatcher(LeanDispatcher):
         return inner
 
     def compile(self, signature):
-        with global_compiler_lock, safe_results(), uncollected():
+        with global_compiler_lock, safe_results(), uncollected(), counted_alone():
             try:
                 return super().compile(signature)
             finally:

@@ -124,12 +124,13 @@ def test_code_for_classes_of_other_packages_is_not_kept(tmp_path, monkeypatch):
 
 UNTOUCHED = """
 from numba.core import boxing, caching, dispatcher, pythonapi, types
+from numba.core.runtime.context import NRTContext
 from numba.np import linalg
 
 def seen():
     places = caching, caching.IndexDataCacheFile, caching._SourceFileBackedLocatorMixin, dispatcher.Dispatcher
     boxers = [pythonapi._boxers.functions[one] for one in (types.NamedTuple, types.NamedUniTuple)]
-    return [dict(vars(one)) for one in (*places, pythonapi.PythonAPI, linalg)], boxers
+    return [dict(vars(one)) for one in (*places, pythonapi.PythonAPI, NRTContext, linalg)], boxers
 
 before = seen()
 from deep_contact.stepping.convergence import is_over

@@ -16,6 +16,8 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from numba.core import codegen, event
@@ -55,10 +57,8 @@ class Count(event.Listener):
         self.lines[name] += str(module).count("\n")
 
 
-def count(call: str) -> tuple[Count, float]:
+def count(call: Callable) -> tuple[Count, float]:
     """What a call compiles in this process, and its processor time, s."""
-    import deep_contact as dc
-
     counted, add = Count(), codegen.CPUCodeLibrary.add_ir_module
 
     def add_and_count(library, module):
@@ -69,19 +69,27 @@ def count(call: str) -> tuple[Count, float]:
     try:
         with event.install_listener("numba:compile", counted):
             begun = time.process_time()
-            eval(call, {"dc": dc})
+            call()
             return counted, time.process_time() - begun
     finally:
         codegen.CPUCodeLibrary.add_ir_module = add
 
 
 def cost(kind: str) -> dict:
-    """What a kind compiles in a process of its own with an empty cache."""
+    """What a kind compiles in a process of its own with an empty cache.
+
+    Returns {"functions": name -> [versions, modules, lines], "seconds": processor time}.
+    """
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | {"NUMBA_CACHE_DIR": folder, "PYTHONPATH": str(ROOT)}
         command = [sys.executable, __file__, kind, "--here"]
         done = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True, timeout=600)
     return json.loads(done.stdout)
+
+
+def sums_of(found: dict) -> list[int]:
+    """Functions, modules and lines of a `cost`, in all."""
+    return [sum(column) for column in zip(*found["functions"].values())]
 
 
 def main() -> None:
@@ -91,14 +99,16 @@ def main() -> None:
     parser.add_argument("--here", action="store_true", help="in this process, with its cache, as JSON")
     args = parser.parse_args()
     if args.here:
-        counted, seconds = count(KINDS[args.kinds[0]])
+        import deep_contact as dc
+
+        counted, seconds = count(partial(eval, KINDS[args.kinds[0]], {"dc": dc}))
         functions = {name: (n, counted.modules[name], counted.lines[name]) for name, n in counted.versions.items()}
         print(json.dumps({"functions": functions, "seconds": seconds}))
         return
     print(f"{'kind':16}{'functions':>10}{'modules':>10}{'lines':>10}{'s':>8}")
     for kind in args.kinds or KINDS:
         found = cost(kind)
-        sums = [sum(column) for column in zip(*found["functions"].values())]
+        sums = sums_of(found)
         print(f"{kind:16}{sums[0]:10}{sums[1]:10}{sums[2]:10,}{found['seconds']:8.1f}", flush=True)
         if args.functions:
             for name, numbers in sorted(found["functions"].items(), key=lambda item: -item[1][2]):
