@@ -188,7 +188,7 @@ LISTS = {
 # 1 − ω of a lone contact's error. A study of piles does not show this error.
 
 
-def known_error(setting: Mapping) -> float:
+def error(setting: Mapping) -> float:
     """The largest error of a setting among `motions`, % of their speeds. setting: as `solver_of` reads it."""
     return 100.0 * max(wrong(end(setting, scene, seconds).bodies) for scene, seconds, wrong in motions())
 
@@ -261,7 +261,7 @@ def times_of(row: Mapping, processes: int) -> int:
 def judged(rows: list[dict]) -> dict:
     """The rows, with the errors of our settings where the answer is known, and the settings that the presets take."""
     ours = {row["name"]: row["setting"] for row in rows if "engine" not in row["setting"]}
-    known = {name: runs.rounded(known_error(setting)) for name, setting in ours.items()}
+    known = {name: runs.rounded(error(setting)) for name, setting in ours.items()}
     rows = [row | ({"known": known[row["name"]]} if row["name"] in known else {}) for row in rows]
     return {"errors": ERRORS, "rows": rows, "presets": runs.presets(rows)}
 
