@@ -10,7 +10,7 @@ from deep_contact.accuracy.presets import PRESETS, PresetWarning
 from deep_contact.figures import Claim, Figure
 from deep_contact.run.one_scene import simulate
 from deep_contact.scenes import circles_in_box
-from deep_contact.studies.extremes import mechanical_energy, with_bodies
+from deep_contact.studies.hard_scenes import mechanical_energy, with_bodies
 
 KEPT = 0.02
 """Largest change of the energy of elastic circles without friction, as a share of the energy at the start."""

@@ -27,7 +27,15 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell sets it for 
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-ENGINE_LAST = "documents/test_readme.py", "stepping/", "solvers/", "starts/", "behaviour/", "studies/"
+ENGINE_LAST = (
+    "documents/test_readme.py",
+    "stepping/",
+    "solvers/",
+    "starts/",
+    "behaviour/",
+    "studies/",
+    "scripts/test_figure_6_6.py",
+)
 """Files whose tests need many kinds of steps, and so run last."""
 
 

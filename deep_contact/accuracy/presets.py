@@ -68,7 +68,7 @@ MARGIN = 0.85
 """Largest share of its tolerance that an error of the study should have: the study has few seeds of a few scenes."""
 
 KNOWN = 1.0
-"""Largest error, %, of a setting in cases with a known answer (`studies.known`). No preset takes one with more."""
+"""Largest error, %, of a setting in motions with known answers (`run_tradeoff.py`). No preset takes one with more."""
 
 _NEARLY = 1.05
 """Ratio of a step to the study's step up to which it is not divided: the mean of random radii around 1 m is not exactly

@@ -1,1 +1,1 @@
-"""Experiments of the scripts: comparisons of starts, speed for accuracy, timing, extremes."""
+"""Experiments of the scripts: comparisons of starts, speed for accuracy, timing, hard scenes."""

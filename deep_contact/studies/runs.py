@@ -119,12 +119,6 @@ KINDS = {
 }
 """Kind of scene -> arguments of `piles.scene`, or of the function `make`."""
 
-DENSE_KINDS = [kind for kind in KINDS if "1 : " in kind or kind == "dam break"]
-"""Kinds that need more sweeps: two densities, and a dam that breaks."""
-
-WALLED_KINDS = ["terrain", "hopper", "piston"]
-"""Kinds with segments, still ones and one that moves."""
-
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
 """The setting taken for the limit of small steps. Figure 6.2: the next longer steps give the same within the noise."""
 

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from deep_contact import sph
 from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.start import Cnn
 from deep_contact.figures.figure import Figure
@@ -26,12 +25,9 @@ from deep_contact.solvers import PGS
 from deep_contact.sph.start import Sph, solved_impulses
 from deep_contact.starts.names import Start, WarmStart, warm_start_of
 from deep_contact.state import constants
-from deep_contact.state.fields import make_bodies
 from deep_contact.state.state import State, StateWithContacts
 from deep_contact.state.validation import flag, list_of, number, one_of
-from deep_contact.state.world import World
 from deep_contact.stepping.convergence import mean_theta
-from deep_contact.stepping.prepare import ready
 from deep_contact.stepping.rows import projected
 from deep_contact.studies import verdicts
 from deep_contact.studies.timing import interleaved
@@ -408,69 +404,6 @@ def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[in
     own = {"d": 0.25, "h": [0.1, 0.2, 0.25, 0.5], "spacings": [0.25, 0.5, 0.75, 1.0], "numbers": list(numbers)}
     quick = {"scenes": 1, "steps": 250, "sweeps": 1500, "numbers": []}
     return Figure(id, title, compute, table, draw, claims, options=THESIS_SETTINGS | own, quick=quick)
-
-
-def transfer_loss(states: Sequence[State], start: Sph, *, method: str = "bilinear") -> float:
-    """Change of the solved impulses by the round trip through the grid: mean over states of ‖λ' − λ‖ / ‖λ‖.
-
-    method: how the image of the thesis's transfer is read, as for `sph.gather`; the consistent transfer is bilinear.
-    """
-    errors = []
-    for state in states:
-        impulses = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
-        if impulses.any():
-            back = np.column_stack(start.round_trip(state, impulses, method=method))
-            errors.append(np.linalg.norm(back - impulses) / np.linalg.norm(impulses))
-    return float(np.mean(errors))
-
-
-def motion_loss(states: Sequence[State], start: Sph) -> dict[str, float]:
-    """Relative losses in the image of the circles' motion (Algorithm 2), means over the states.
-
-    "velocities of circles" is ‖u' − u‖ / ‖u‖ with u = (v_x, v_y, ω). Here u' is read from the image at the circles; it
-    is scaled by the mass of each circle, which is known, over the mass that is read. The other losses compare sums over
-    the nodes with sums over the circles, as a share of the sum of sizes: "mass and momentum" (the larger one), "energy"
-    and "angular momentum", of motion without spin.
-    """
-    errors = []
-    h = start.spacing if start.support is None else start.support
-    reach = {"h": h, "kernel": start.kernel, "outside": "clamp", "unreached": "nearest"}
-    for state in states:
-        mass, places = state.bodies.mass[:, None], state.bodies.position
-        motion = np.column_stack([state.bodies.velocity, state.bodies.spin])
-        grid = sph.Grid.over_box(state.world.box, start.spacing)
-        values = np.column_stack([mass, motion, mass * state.bodies.velocity])
-        image = sph.splat(grid, places, values, normalization="particle", **reach)
-        back = sph.gather(grid, image, places, outside="clamp")
-        change = back[:, 1:4] * (mass / back[:, :1]) - motion
-        nodes = np.stack(np.meshgrid(*grid.nodes), axis=-1)[image[..., 0] > 0]
-        before, after = _sums(places, values), _sums(nodes, image[image[..., 0] > 0])
-        # What no circle has, such as momentum along x before the first contact, is not lost.
-        size, least = np.abs(before).sum(axis=0), np.finfo(float).tiny
-        kept = np.abs(after.sum(axis=0) - before.sum(axis=0)) / np.maximum(size, least)
-        errors.append([np.linalg.norm(change) / max(np.linalg.norm(motion), least), kept[:3].max(), *kept[3:]])
-    names = ("velocities of circles", "mass and momentum", "angular momentum", "energy")
-    return dict(zip(names, np.mean(errors, axis=0).tolist()))
-
-
-def _sums(places: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Mass, momentum (x, y), angular momentum and energy of each particle, (n, 5). values: m first, m v last."""
-    mass, (x, y), (p_x, p_y) = values[:, 0], places.T, values[:, -2:].T
-    return np.column_stack([mass, p_x, p_y, x * p_y - y * p_x, (p_x**2 + p_y**2) / (2 * mass)])
-
-
-def isolated_contacts(count: int, *, seed: int) -> list[State]:
-    """States with one contact each, of impulse (1, 0.3) N·s, at random places in the thesis's box."""
-    rng = np.random.default_rng(seed)
-    states = []
-    for centre in rng.uniform(10.0, 20.0, (count, 2)):
-        angle = rng.uniform(0, 2 * np.pi)
-        reach = 0.999 * np.array([np.cos(angle), np.sin(angle)])
-        bodies = make_bodies([centre - reach, centre + reach], radius=1.0)
-        state = ready(State(name="isolated", world=World(), bodies=bodies))
-        impulses = {"normal_impulse": np.array([1.0]), "tangent_impulse": np.array([0.3])}
-        states.append(state.replace(contacts=state.contacts._replace(**impulses), solved=True))
-    return states
 
 
 SHOWN = 95

@@ -10,7 +10,7 @@ from deep_contact.accuracy.scene_numbers import scene_numbers
 from deep_contact.accuracy.stiffness import height_and_width, stiffness
 from deep_contact.stepping import metrics
 from deep_contact.stepping.problem import contacts_of
-from deep_contact.studies.extremes import loaded_silo, pyramid, silo, with_bodies
+from deep_contact.studies.hard_scenes import loaded_silo, pyramid, silo, with_bodies
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*solved to a tolerance")
 

@@ -15,7 +15,7 @@ from deep_contact.stepping import metrics
 from deep_contact.stepping.continuous import FAST
 from deep_contact.stepping.interface import entry_of
 from deep_contact.stepping.prepare import ready
-from deep_contact.studies.extremes import mechanical_energy
+from deep_contact.studies.hard_scenes import mechanical_energy
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*(nearly coincide|outside of the box)")
 SWEEPS = dc.PGS(sweeps=15, tolerance=None)

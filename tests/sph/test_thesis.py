@@ -48,17 +48,3 @@ def test_sharing_loses_nothing():
     for h in (0.5, 1.0):
         back = np.column_stack(Sph(transfer="shared", support=h).round_trip(state, given))
         np.testing.assert_allclose(back.sum(axis=0), given.sum(axis=0), rtol=1e-12)
-    alone = starts.isolated_contacts(20, seed=0)
-    assert starts.transfer_loss(alone, Sph(transfer="shared")) < 1e-12
-    assert starts.transfer_loss(alone, Sph(transfer="thesis")) > 0.1
-
-
-def test_the_image_of_motion_keeps_what_sums_keep_and_energy_where_no_node_is_shared():
-    """Weights of a circle sum to one, so m and m v stay; two circles on one node move alike there and lose energy."""
-    states = starts.solved_states(dc.circles_in_box(40, seed=3), steps=200, every=190)[-1:]
-    apart, mixed = (starts.motion_loss(states, Sph(spacing=d)) for d in (0.5, 4.0))
-    assert max(apart["mass and momentum"], mixed["mass and momentum"], apart["energy"]) < 1e-12
-    assert 1e-9 < apart["angular momentum"] < 0.01
-    assert mixed["energy"] > 1e-3
-    # At rest nothing is lost.
-    assert max(starts.motion_loss([dc.circles_in_box(5, seed=0)], Sph(spacing=0.5)).values()) < 1e-12

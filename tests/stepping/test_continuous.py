@@ -8,7 +8,7 @@ from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.solvers import METHODS
-from deep_contact.studies.extremes import loaded_silo
+from deep_contact.studies.hard_scenes import loaded_silo
 
 NO_GRAVITY = dc.World(box=(0, 0, 60, 40), gravity=(0, 0))
 EMPTY = dc.World(box=(-1e5, -1e5, 1e5, 1e5), gravity=(0, 0), friction=0.0)

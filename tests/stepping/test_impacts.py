@@ -10,7 +10,7 @@ from conftest import circles_at, momentum
 import deep_contact as dc
 from deep_contact.accuracy.presets import PRESETS
 from deep_contact.stepping.problem import after_impacts
-from deep_contact.studies.extremes import mechanical_energy
+from deep_contact.studies.hard_scenes import mechanical_energy
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*solved to a tolerance")
 

@@ -14,7 +14,7 @@ from deep_contact.stepping.metrics import kinetic_energy
 from deep_contact.stepping.prepare import ready
 from deep_contact.stepping.segment_grid import segments_of
 from deep_contact.stepping.substeps import shift_flights, substeps_by_motion
-from deep_contact.studies.extremes import mechanical_energy
+from deep_contact.studies.hard_scenes import mechanical_energy
 
 OPTIONS = {"sweeps": 5, "tolerance": None, "most_substeps": 16, "approach": 0.02, "slop": 0.5}
 MOTION = dc.PGS(**OPTIONS)

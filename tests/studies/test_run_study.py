@@ -176,7 +176,7 @@ def test_fewer_seeds_than_the_reference_meet_its_runs_of_the_same_scenes(tmp_pat
 def study(tmp_path, monkeypatch, without_runs):
     """A function: the results of a small study of these settings, and the script."""
     script = load_script("run_tradeoff")
-    monkeypatch.setattr(script, "known_error", lambda setting: 0.5)
+    monkeypatch.setattr(script, "error", lambda setting: 0.5)
     seeds = {"seeds": {"20": {"plain": 2}}, "ladder_seeds": {"20": 2}, "peer_seeds": {"20": 2}}
 
     def run(settings):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import circles_at, load_script, run_python
+from conftest import SCRIPTS, circles_at, load_script, run_python
 
 import deep_contact as dc
 from deep_contact import figures
@@ -16,8 +16,11 @@ from deep_contact.state.constants import LINEAR_SLOP
 from deep_contact.stepping.metrics import kinetic_energy
 from deep_contact.stepping.prepare import is_valid, ready
 from deep_contact.stepping.problem import contacts_of, solve
-from deep_contact.studies import extremes
-from deep_contact.studies.extremes import ACCURATE, DEGRADED, FAILED, REFUSED, SAFE, Trial, measure
+from deep_contact.studies import hard_scenes
+
+extremes = load_script("figure_6_6")
+ACCURATE, Trial, measure = extremes.ACCURATE, extremes.Trial, extremes.measure
+SAFE, DEGRADED, FAILED, REFUSED = extremes.SAFE, extremes.DEGRADED, extremes.FAILED, extremes.REFUSED
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*(nearly coincide|outside of the box)")
 TEN = dc.PGS(sweeps=10, tolerance=None)
@@ -26,7 +29,7 @@ TEN = dc.PGS(sweeps=10, tolerance=None)
 def with_value(name, value):
     """A scene of three circles in which one quantity of `LIMITS` has a value."""
     owner, _, field = name.rpartition(".")
-    scene = extremes.silo(3)
+    scene = hard_scenes.silo(3)
     if not owner:
         return scene.replace(dt=value)
     if owner == "world":
@@ -80,7 +83,7 @@ FIELDS = [(owner, name) for owner, kind in (("bodies", Bodies), ("contacts", dc.
 @pytest.mark.parametrize(("owner", "name"), FIELDS)
 def test_a_field_of_the_wrong_length_or_that_is_not_finite_is_refused_by_name(owner, name):
     # The compiled steps index without looking; arrays of the engine's own kind take a shorter way to them.
-    state = ready(extremes.silo(3))
+    state = ready(hard_scenes.silo(3))
     part = getattr(state, owner)
     array = getattr(part, name)
     wrong = [np.ascontiguousarray(array[:-1]), np.concatenate([array, array[-1:]])]
@@ -111,7 +114,7 @@ def test_the_inertia_of_the_lightest_and_largest_circle_is_a_number():
 )  # fmt: skip
 def test_a_column_of_50_in_a_silo_rests_and_ten_sweeps_do_not_carry_a_thousandfold_mass(ratio, solver, seconds, slops):
     # The limit that the README states: information travels one contact a sweep, and the light ones give way.
-    scene = extremes.loaded_silo(50, ratio)
+    scene = hard_scenes.loaded_silo(50, ratio)
     rest = measure(Trial(scene=scene, steps=100 * seconds, solver=solver, recognised=False))
     assert slops[0] < rest["settled"] < slops[1]
     assert rest["speed"] < 1e-6 or (ratio > 1 and solver is TEN)
@@ -120,7 +123,7 @@ def test_a_column_of_50_in_a_silo_rests_and_ten_sweeps_do_not_carry_a_thousandfo
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 1.0])
 def test_overlapping_circles_part_without_speed(share):
     # "Bounded as in Box2D": a pair moves by at most max_correction a sweep of position correction, without a velocity.
-    state = extremes.overlapping(share)
+    state = hard_scenes.overlapping(share)
     for _ in range(5):
         moved = dc.step(state, solver=TEN)
         gap = np.diff(moved.bodies.position[:, 0]) - np.diff(state.bodies.position[:, 0])
@@ -133,7 +136,7 @@ def test_overlapping_circles_part_without_speed(share):
 @pytest.mark.parametrize("kind", ["huge", "pulling", "outside"])
 def test_a_misleading_start_leaves_nothing_behind(kind):
     # Half of what gravity gives in a step, 0.1 m/s.
-    state = ready(extremes.pyramid(5))
+    state = ready(hard_scenes.pyramid(5))
     start = extremes.misleading_start(kind, 1e3)
     for _ in range(10):
         state = dc.step(state, solver=ACCURATE, warm_start=start)
@@ -143,7 +146,7 @@ def test_a_misleading_start_leaves_nothing_behind(kind):
 
 @pytest.mark.parametrize("kind", ["huge", "pulling", "outside"])
 def test_a_start_beyond_what_the_sweeps_take_back_leaves_a_state_that_goes_on(kind):
-    state = ready(extremes.pyramid(5))
+    state = ready(hard_scenes.pyramid(5))
     state = dc.step(state, solver=ACCURATE, warm_start=extremes.misleading_start(kind, 1e12))
     after = dc.simulate(state, steps=10, solver=ACCURATE).state
     assert is_valid(after.bodies, after.contacts)
@@ -154,7 +157,7 @@ def test_a_start_beyond_what_the_sweeps_take_back_leaves_a_state_that_goes_on(ki
 
 def test_what_is_not_a_number_has_no_contacts_and_does_not_end_the_process():
     # NaN has no cell: the broad phase would write outside of its arrays.
-    scene = extremes.silo(3)
+    scene = hard_scenes.silo(3)
     position = scene.bodies.position.copy()
     position[1] = np.nan
     assert contacts_of(scene.replace(bodies=scene.bodies._replace(position=position))).count == 0
@@ -164,7 +167,7 @@ def test_what_is_not_a_number_has_no_contacts_and_does_not_end_the_process():
 def test_a_solver_that_diverges_beyond_all_numbers_says_so(solver, monkeypatch):
     # Without the limit on a start the sweeps end in NaN, and that is said at once.
     monkeypatch.setattr(classical, "LARGEST_START", 1.7e308)
-    state = ready(extremes.silo(3))
+    state = ready(hard_scenes.silo(3))
     huge = lambda state, solver: (np.full(state.contacts.count, 1.7e308),) * 2  # noqa: E731
     with pytest.raises(FloatingPointError, match=r"up to step 1: circle 0 \(mass .*the solver diverged; try PGS"):
         dc.simulate(state, steps=5, solver=solver, warm_start=huge)
@@ -186,11 +189,13 @@ def test_sweeps_without_friction_never_add_kinetic_energy_to_what_the_start_left
 CHECKED = """
 import sys
 import deep_contact as dc
-from deep_contact.studies import extremes
+from deep_contact.studies import hard_scenes
 from deep_contact.solvers import METHODS
+sys.path.insert(0, sys.argv[2])
+import figure_6_6_stability as extremes
 solver = METHODS[sys.argv[1]](sweeps=20)
-for scene in (extremes.overlapping(1.0, 50), extremes.cornered(5.0), extremes.shifted(extremes.silo(5), 1e6),
-              extremes.bed_under(1e3), extremes.channel(1e6), dc.lattice_in_box(200, radius=(1e-3, 1.0)),
+for scene in (hard_scenes.overlapping(1.0, 50), extremes.cornered(5.0), extremes.shifted(hard_scenes.silo(5), 1e6),
+              extremes.bed_under(1e3), hard_scenes.channel(1e6), dc.lattice_in_box(200, radius=(1e-3, 1.0)),
               dc.single_body(height=3.0), extremes.small_pile(friction=1e6, restitution=1.0)):
     dc.simulate(scene, steps=60, solver=solver)
 """
@@ -200,7 +205,7 @@ for scene in (extremes.overlapping(1.0, 50), extremes.cornered(5.0), extremes.sh
 @pytest.mark.parametrize("method", METHODS)
 def test_no_index_leaves_its_array(method, tmp_path):
     # Compiled code does not look at its indices; here it does, in a cache of its own.
-    run_python("-c", CHECKED, method, environment={"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)})
+    run_python("-c", CHECKED, method, SCRIPTS, environment={"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)})
 
 
 # ---- what `measure` says of a scene ----
@@ -212,11 +217,11 @@ def push(state, solver):
 
 NOTHING = dc.PGS(sweeps=0, tolerance=None, position_sweeps=0)
 OUTCOMES = [
-    (Trial(scene=extremes.silo(2).replace(dt=2.0), steps=5), REFUSED, "dt: expected"),
+    (Trial(scene=hard_scenes.silo(2).replace(dt=2.0), steps=5), REFUSED, "dt: expected"),
     # 2 m a step, each: more than a diameter between two looks. Continuous collision is not modelled.
-    (Trial(scene=extremes.channel(20.0), steps=100, solver=NOTHING, ordered=0), FAILED, "passed through another"),
-    (Trial(scene=extremes.silo(2), steps=3, solver=NOTHING, warm_start=push), FAILED, "the energy rose by"),
-    (Trial(scene=extremes.loaded_silo(5, 1e4), steps=50, solver=TEN, recognised=False), DEGRADED, ""),
+    (Trial(scene=hard_scenes.channel(20.0), steps=100, solver=NOTHING, ordered=0), FAILED, "passed through another"),
+    (Trial(scene=hard_scenes.silo(2), steps=3, solver=NOTHING, warm_start=push), FAILED, "the energy rose by"),
+    (Trial(scene=hard_scenes.loaded_silo(5, 1e4), steps=50, solver=TEN, recognised=False), DEGRADED, ""),
     *((Trial(scene=extremes.cornered(depth), steps=100), SAFE, "") for depth in (0.0, 0.1, 1.0, 5.0)),
 ]
 
@@ -259,16 +264,13 @@ def test_lifting_by_position_correction_is_counted_apart():
 @pytest.mark.peers
 def test_chipmunk_is_not_asked_for_what_ends_the_process():
     pytest.importorskip("pymunk")
-    trial = Trial(scene=extremes.silo(2), steps=1, solver=dc.PGS(sweeps=0))
+    trial = Trial(scene=hard_scenes.silo(2), steps=1, solver=dc.PGS(sweeps=0))
     assert measure(trial, "pymunk")["verdict"] == REFUSED
-
-
-script = load_script("figure_6_6_stability")
 
 
 def test_the_figure_holds_its_claims_on_a_few_quantities(tmp_path):
     options = {"quantities": ["mass", "overlap", "time step"], "few": True, "steps": 60}
-    found = figures.produce(script.FIGURE, options=options, out=tmp_path)
+    found = figures.produce(extremes.FIGURE, options=options, out=tmp_path)
     assert [claim["text"] for claim in found["claims"] if not claim["holds"]] == []
-    (mass,) = (row for row in script.table(found["data"]) if row[0] == "mass")
+    (mass,) = (row for row in extremes.table(found["data"]) if row[0] == "mass")
     assert (mass[2], mass[5]) == ("1e-20 to 1e+20", "1e-40; 1e+40")
