@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from deep_contact.cnn.dataset import phase as phase
     from deep_contact.cnn.dataset import split_by_simulation as split_by_simulation
     from deep_contact.cnn.images import CHANNELS as CHANNELS
+    from deep_contact.cnn.images import TARGETS as TARGETS
     from deep_contact.cnn.images import ImageSpec as ImageSpec
     from deep_contact.cnn.images import input_image as input_image
     from deep_contact.cnn.images import label_image as label_image

@@ -2,7 +2,8 @@
 
 `table()` of bodies, contacts and trajectories is a dictionary of columns, which pandas and
 polars take. Extended xyz keeps every bit. ParaView opens the `.vtu` files, one a state, as
-an animation; its filter "Glyph" with spheres, scaled by `radius`, draws the circles.
+an animation; its filter "Glyph" draws the circles: spheres scaled by `radius`, with the scale
+factor 2, since its sphere has a radius of one half.
 """
 
 import meshio
