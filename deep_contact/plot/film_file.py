@@ -124,9 +124,8 @@ def write_film(path, states: Sequence, draw: Callable[..., np.ndarray], fps: flo
     OSError with what ffmpeg said where it ends early.
     """
     path = Path(path)
-    expect(
-        path.suffix in (".gif", ".mp4"), f"path: expected a name that ends in .html, .gif or .mp4, got {str(path)!r}"
-    )
+    is_known = path.suffix in (".gif", ".mp4")
+    expect(is_known, f"path: expected a name that ends in .html, .gif or .mp4, got {str(path)!r}")
     program = None if path.suffix == ".gif" else _ffmpeg()
     hint = "a .gif and an .html need none; `pip install imageio-ffmpeg` brings one"
     can_write = path.suffix == ".gif" or program

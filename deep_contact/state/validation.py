@@ -127,8 +127,8 @@ def floats(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
 SYNONYMS = {
     "cor": "restitution", "count": "n_bodies", "e": "restitution", "g": "gravity",
     "iterations": "sweeps", "lines": "segments", "mu": "friction", "n": "n_bodies", "omega": "spin", "pos": "position",
-    "r": "radius", "rtol": "tolerance", "start": "warm_start", "time_step": "dt", "timestep": "dt", "tol": "tolerance", "v": "velocity",
-    "walls": "segments", "workers": "jobs",
+    "r": "radius", "rtol": "tolerance", "start": "warm_start", "time_step": "dt",
+    "timestep": "dt", "tol": "tolerance", "v": "velocity", "walls": "segments", "workers": "jobs",
 }  # fmt: skip
 """Wrong keyword that people try -> the right keyword."""
 
