@@ -225,7 +225,10 @@ def _start_of(problem: ContactProblem, normal, tangent) -> np.ndarray:
 
 @njit(cache=True)
 def _swept(blocks: Blocks, impulse, sweeps):
-    """The impulses after sweeps of PGS, (m, 2), cut to the cone: λ_t leaves it if λ_n falls within a sweep."""
+    """The impulses after `sweeps` sweeps of PGS, (m, 2), with λ_t clipped to ±μ λ_n.
+
+    The clip is needed: a sweep that lowers λ_n can leave λ_t outside of the cone.
+    """
     impulse = impulse.copy()
     for _ in range(sweeps):
         sweep_matrix(blocks, impulse)

@@ -42,7 +42,10 @@ class ContactProblem(NamedTuple):
 
 
 def check_problem(problem: ContactProblem) -> ContactProblem:
-    """The problem with friction, validated, in float64 and with A sorted. Raises ValueError naming field and value."""
+    """The validated contact problem, in float64, with the column indices of A sorted.
+
+    Raises ValueError naming field and value.
+    """
     A = sparse.csr_array(problem.A, dtype=np.float64)
     A.sort_indices()
     size = A.shape[0]

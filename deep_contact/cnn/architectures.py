@@ -17,7 +17,10 @@ from deep_contact.state.validation import integer, number, one_of
 layers = keras.layers
 
 THESIS_STACKS = ((32, (3, 3)), (64, (3, 3, 2)), (128, (2, 2, 2)), (256, (2, 2, 2)), (512, (2, 2, 2)))
-"""Number of filters of each stack, and the sides of its kernels (Appendix B; Table 5.2 has 3 × 3 for all)."""
+"""Each stack: its number of filters, and the side of the square kernel of each of its convolutions.
+
+(3, 3, 2) are three convolutions: 3 × 3, 3 × 3 and 2 × 2 (Appendix B). Table 5.2 has 3 × 3 for all.
+"""
 
 _NORMALIZED = (2, 4)
 """Numbers of the stacks whose pooling is followed by batch normalisation (Table 5.1)."""

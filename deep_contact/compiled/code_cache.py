@@ -41,7 +41,7 @@ MOST_WAIT = 120.0
 _ROOT = Path(__file__).resolve().parents[2]
 _IMPORT = re.compile(rb"^(?:from (deep_contact[\w.]*) import (\([^)]*\)|.*)|import (deep_contact[\w.]*))", re.MULTILINE)
 _KNOWN = {"builtins", "copyreg", "deep_contact", "numba", "numpy"}
-"""Packages whose types compiled code is kept for."""
+"""Compiled code is kept only if the types of all its arguments come from these packages."""
 
 
 class CodeCache(caching.NullCache):

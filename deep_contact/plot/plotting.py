@@ -160,7 +160,10 @@ def name_bars(ax, names: Sequence[str]) -> None:
 
 
 def log_axes(ax) -> None:
-    """Make both axes logarithmic, with plain numbers at 1, 2 and 5 of each decade, or at decades alone if over two."""
+    """Make both axes logarithmic, with plain numbers at 1, 2 and 5 of each decade.
+
+    An axis longer than two decades has numbers at powers of ten only.
+    """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     ax.set(xscale="log", yscale="log")

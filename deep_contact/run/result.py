@@ -65,7 +65,7 @@ class Simulation(NamedTuple):
         """The mean contact force on a part of the scene between each recorded state and the next, (T − 1, 2), N.
 
         Force k is the mean from times[k] to times[k + 1] of the trajectory, over all steps and substeps, rebounds
-        included. The force on a circle is its change of momentum over time, without those by gravity and pushes.
+        included. The force on a circle is its change of momentum over time, minus gravity and pushes.
 
         part: "floor", "right", "ceiling", "left", "segment", "circle", or "wall", which stands for the four sides,
         numbered in this order. index: of the segment, the circle or the wall, or several, whose forces are added up;

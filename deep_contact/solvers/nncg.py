@@ -103,7 +103,7 @@ def extrapolate(x, last, along, beta):
 
 @njit(cache=True)
 def reset(x, last, along):
-    """p ← 0, last ← x, in place."""
+    """Restart the momentum, in place: p, which is `along`, becomes 0, and last becomes x."""
     along[:] = 0.0
     last[:] = x
 

@@ -23,7 +23,7 @@ from deep_contact.state.validation import expect, one_of, suggesting
 from deep_contact.stepping.convergence import mark_divergence
 
 MOST_SWEEPS = 10_000_000
-"""Upper limit of every count: the θ of each sweep is kept, which takes 8 bytes."""
+"""Upper limit of the numbers of sweeps and of substeps. Each sweep stores its θ, 8 bytes."""
 
 
 @dataclass(frozen=True, kw_only=True)

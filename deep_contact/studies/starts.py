@@ -407,7 +407,7 @@ def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[in
 
 
 SHOWN = 95
-"""Percentile of the positive values at which the colours and widths of snapshots end."""
+"""The scales of colours and of line widths in snapshots end at this percentile of the positive values."""
 
 
 def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: str) -> Figure:
