@@ -52,8 +52,9 @@ def user_calls(x):
     return plus_one(x) + 1
 
 def has_wrapper(function):
-    (result,) = function.overloads.values()
-    return result.library.get_pointer_to_function(result.fndesc.llvm_cpython_wrapper_name) != 0
+    (compiled,) = function.overloads.values()
+    code, names = compiled[compiled._fields.index("library")], compiled.fndesc
+    return code.get_pointer_to_function(names.llvm_cpython_wrapper_name) != 0
 
 def error_of(function):
     try:
@@ -201,6 +202,7 @@ def test_an_interrupt_leaves_the_collector_as_it_was(collector, monkeypatch):
         made()[0](4)
     assert gc.isenabled()
     assert lean.LeanDispatcher._depth == 0
+    assert NRTContext.get_meminfos is not lean._get_meminfos
 
 
 def test_threads_that_compile_and_call_at_once():
