@@ -17,9 +17,9 @@ from numba.core.runtime.context import NRTContext
 
 @contextmanager
 def uncollected():
-    """Search for no reference cycles within: nearly all that the compiler makes stays. To be used under Numba's lock.
+    """Switch Python's search for reference cycles off within the block: nearly all objects of the compiler stay.
 
-    It takes up to 45 MB more.
+    The block has to hold Numba's lock. It takes up to 45 MB more memory.
     """
     was_enabled = gc.isenabled()
     gc.disable()
@@ -32,10 +32,10 @@ def uncollected():
 
 @contextmanager
 def counted_alone():
-    """Let code that counts references to a value read only those of its members that are counted, within.
+    """Within the block, code that counts references to a value reads only those members whose references are counted.
 
-    Numba takes all of them apart, down to the strides of every array: four fifths of the lines of a step. To be used
-    under its lock.
+    Numba reads all members, down to the strides of every array: four fifths of the lines of a step. The block has to
+    hold Numba's lock.
     """
     before, NRTContext.get_meminfos = NRTContext.get_meminfos, _get_meminfos
     try:
@@ -60,7 +60,7 @@ def _is_counted(model) -> bool:
 
 
 class _Recursion(Exception):
-    """Of what is being compiled without wrappers, a function calls itself, directly or not."""
+    """A function that is being compiled without a wrapper calls itself, directly or by other functions."""
 
 
 class LeanDispatcher(CPUDispatcher):
@@ -72,7 +72,7 @@ class LeanDispatcher(CPUDispatcher):
     """
 
     _depth, _all_whole = 0, False
-    """Compilations of these functions within each other, and whether all of them make wrappers; under Numba's lock."""
+    """Number of nested compilations, and whether all of them make wrappers. Both change under Numba's lock."""
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
@@ -118,7 +118,7 @@ class LeanDispatcher(CPUDispatcher):
 
     @property
     def is_compiling(self):
-        """Whether a call of it, in what is compiled now, is a recursion. `numba.core.typeinfer` asks.
+        """Whether a call of this function in the code that is compiled now is a recursion: `numba.core.typeinfer` asks.
 
         Such a call is by name, and Numba's names tell whether a function has a wrapper. So where a function calls
         itself, directly or not, all that is compiled with it has wrappers, as Numba does it.

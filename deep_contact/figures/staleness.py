@@ -148,9 +148,10 @@ def everywhere() -> dict[str, str]:
 
 @cache
 def made_by(script: Path | None = None) -> dict:
-    """What `reason` compares, of the script that runs or another; nothing outside of a script.
+    """Digests of the code behind a script's results, which `reason` compares; {} if no script runs.
 
-    code: statements that no golden run holds. held: 16 digits for the others. golden: 16 digits for the runs' bits.
+    script: by default the script that runs. Keys: code, the digests of the statements that golden runs do not import;
+    held, one digest of all statements that they import; golden, the digest of the bits of the golden runs.
     """
     script = script or Path(getattr(sys.modules["__main__"], "__file__", None) or "none").resolve()
     if script.suffix != ".py" or not script.is_file() or "site-packages" in script.parts:

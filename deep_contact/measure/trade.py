@@ -74,7 +74,9 @@ class Trade:
     cpu: str = ""
 
     def choose(self, accuracy: str | None = None, **tolerances: float):
-        """The solver of the cheapest setting that keeps a preset ("fast" by default), or tolerances of errors by name.
+        """The solver of the cheapest setting whose errors stay within the tolerances.
+
+        accuracy: the preset that has the tolerances, by default "fast". tolerances: their own values, by error.
 
         Tolerances of quantities are shares: discharge=0.02. Settings that keep the tolerances at the upper ends of
         their errors' intervals come first, then settings whose errors are within 85 % of the tolerances, then settings
@@ -259,5 +261,5 @@ def _percent(name: str) -> float:
 
 
 def _text(name: str, error: float) -> str:
-    """An error as text, such as "1.2 %"; the error of contacts is a number without %."""
+    """An error as text, such as "1.2 %". The error "contacts" is a number of contacts a circle, and has no %."""
     return f"{error * _percent(name):.2g}{'' if name == 'contacts' else ' %'}"

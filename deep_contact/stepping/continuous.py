@@ -496,9 +496,10 @@ def hold(i, normal, sign, by, paths):
 
 @njit(cache=True, error_model="numpy")
 def yield_along(i, k, normal, paths, yielding):
-    """Write the `mobility` of circle i, pushed against the normal, and of body k, pushed along it, (2, 3).
+    """Write the `mobility` of circle i along −normal, and of body k along +normal, into `yielding`, (2, 3).
 
-    If both are blocked, the less firm circle yields as if nothing held it; if both are equally firm, both circles do.
+    If neither can move, the circle with the lower `Paths.held` moves as if it were free. If both have the same value,
+    both circles do.
     """
     n, inverse = paths.radius.shape[0], paths.inverse
     mobility(i, -normal[0], -normal[1], paths, yielding[0])

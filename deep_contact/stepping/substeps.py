@@ -33,10 +33,11 @@ def substep_by_motion(step, substep, cells, actuation):
 
 @njit(inline="always")
 def fly_on(step, substep, contacts, change, actuation, shifts):
-    """Adapt circles in flight to another Δt (`shift_flights`), if motion divides the solver's substep.
+    """Correct the velocities of circles in flight for a change of Δt (`shift_flights`), in place.
 
+    It is needed where e > 0 and motion has divided the solver's substep.
     step: `StepInput` of the solver's substep. substep: `StepInput` after the division. change: decrease of Δt, s.
-    shifts: of `StepLog`.
+    shifts: `StepLog.shifts`.
     """
     if substep.substeps > step.substeps and step.restitution > 0.0:
         shift_flights(step.bodies, contacts, step.gravity, change, actuation, shifts)

@@ -225,10 +225,14 @@ def compare_starts(
 ) -> dict:
     """The thesis's comparison of starts over `scenes` scenes, as data of a results file.
 
-    starts: name -> description (`start_of`). modes: of `MODES`. scene_options: of `scene_of`.
-    Returns {"sweep": (k,), "threshold": N·s, "paired": {name: …}, "independent": {name: …}} where … is
-    {"theta": mean θ after these sweeps (k,), "sweeps": {"mean", "median"} until `THRESHOLD`, "states": number,
-    "scenes": {"theta": mean θ of each scene (scenes, k), four digits, "states": number, (scenes,)}}.
+    starts: name -> description (`start_of`). modes: names among `MODES`. scene_options: options of `scene_of`.
+    Returns {"sweep": numbers of sweeps (k,), "threshold": `THRESHOLD`, N·s, mode: {name: curves}}. The curves of a
+    start are a dict:
+
+    * "theta": mean θ after each number in "sweep", (k,), N·s;
+    * "sweeps": {"mean", "median"} of the sweeps until θ is at most `THRESHOLD`;
+    * "states": number of states;
+    * "scenes": {"theta": mean θ of each scene, (scenes, k), to four digits, "states": number of states, (scenes,)}.
     """
     together = {"paired": [dict(starts)], "independent": [{name: start} for name, start in starts.items()]}
     for name in scene_options:

@@ -179,7 +179,11 @@ class ImageRun(NetworkRun):
         self.model.compile(self.optimizer, loss=masked_squared_error, metrics=metrics, jit_compile=False)
 
     def _images(self, states: np.ndarray, count: int):
-        """Yields `count` batches of states (k, 2): (inputs (b, n_y, n_x, c), labels (b, n_y · n_x · t)), float32."""
+        """Yield `count` batches of images.
+
+        states: (k, 2), the numbers of a simulation and of its state. A batch is a tuple: inputs (b, n_y, n_x, c) and
+        labels (b, n_y · n_x · t), float32, with c channels and t target maps.
+        """
         size = self.config.batch_size
         for k in range(count):
             batch = [self.store.state(*state) for state in states[k * size : (k + 1) * size].tolist()]
