@@ -16,7 +16,7 @@ from deep_contact.compiled.code_cache import CodeCache
 PATIENCE = 0.5
 """Time, s, after which a process says that it is compiling."""
 
-ESTIMATE = "it takes half a minute to a minute; `deep-contact warm-up` does it ahead"
+ESTIMATE = "it takes a quarter of a minute to a minute; `deep-contact warm-up` does it ahead"
 """What it says of the time."""
 
 PHYSICS = tuple(f"deep_contact.{folder}." for folder in ("stepping", "solvers", "starts", "analysis"))
