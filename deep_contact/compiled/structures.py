@@ -34,5 +34,6 @@ else:
 
     def define(structure: type, kind: type, fields: tuple[str, ...]) -> None:
         """Let a structure have these fields."""
+        structure._fields = fields
         structref.register(kind)
         structref.define_proxy(structure, kind, list(fields))

@@ -15,8 +15,8 @@ from deep_contact.solvers import batches
 from deep_contact.solvers.batches import BLOCKS, CONTACTS
 from deep_contact.state.constants import POSITION_TOLERANCE
 from deep_contact.stepping import broad_phase, stay_inside
-from deep_contact.stepping.contacts import Walls, carry_impulses, find_pairs, mass_if_fixed, write_geometry
-from deep_contact.stepping.context import substep_of
+from deep_contact.stepping.contacts import carry_impulses, find_pairs, mass_if_fixed, write_geometry
+from deep_contact.stepping.context import begin_steps, place_segments, walls_of
 from deep_contact.stepping.convergence import all_finite, is_over
 from deep_contact.stepping.impacts import logged_rebound
 from deep_contact.stepping.interface import Loop, SolverOptions, register, tolerance_argument
@@ -27,7 +27,7 @@ from deep_contact.stepping.log import (
     WORK,
     impulses_of,
     is_asked,
-    log_impulses,
+    log_pairs,
     log_substep,
     log_work,
 )
@@ -37,7 +37,7 @@ from deep_contact.stepping.position_correction import correct_tiles, fill_centre
 from deep_contact.stepping.rows import ARM_A, ARM_B, CONTRACT, N_X, N_Y, NORMAL, NORMAL_MASS, TANGENT, TANGENT_MASS
 from deep_contact.stepping.segment_grid import moved_segments
 from deep_contact.stepping.segments import positions_before
-from deep_contact.stepping.substeps import fly_on, substep_by_motion
+from deep_contact.stepping.substeps import divide_by_motion, fly_on
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,76 +144,65 @@ class _BatchWorkspaceType(StructureType):
 
 
 class BatchWorkspace(Structure):
-    """Workspace that the steps of a run pass on. A step replaces a field that is too small.
+    """Workspace of steps in batches. A step replaces a field that does not fit its contacts.
 
-    plan: `BatchPlan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this step. memory:
-    `StepMemory`. pair_impulses: of `StepLog`.
+    | field  | meaning                                 |
+    |--------|-----------------------------------------|
+    | plan   | `BatchPlan`                             |
+    | tiles  | `Tiles`                                 |
+    | solved | `Contacts` of which the plan was made   |
     """
 
 
-define(BatchWorkspace, _BatchWorkspaceType, ("plan", "tiles", "solved", "contacts", "memory", "pair_impulses"))
+define(BatchWorkspace, _BatchWorkspaceType, ("plan", "tiles", "solved"))
 
 
 @njit(cache=True)
-def make_batch_workspace(contacts, setup):
-    """A `BatchWorkspace` for steps that start from these contacts. setup: `StepSetup`."""
-    memory = setup.memory
-    n = memory.cells.cell.shape[0]
-    plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1)
-    return BatchWorkspace(plan, tiles, contacts, contacts, memory, np.zeros((0, 8)))
+def make_batch_workspace(context, contacts):
+    """A `BatchWorkspace` for steps that start from these contacts. context: `StepContext`."""
+    n = context.step.bodies.mass.shape[0]
+    return BatchWorkspace(batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1), contacts)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance_in_batches(setup, contacts, workspace, log, actuation):
+def advance_in_batches(context, contacts, workspace, log, actuation):
     """`algorithm.advance` for `BatchedPGS`. workspace: `BatchWorkspace`, which each call passes on to the next."""
-    step, options = setup.step, setup.options
-    workspace.contacts, workspace.memory, workspace.pair_impulses = contacts, setup.memory, log.pair_impulses
-    if actuation is not None:
-        step = substep_of(step, moved_segments(step.segments, actuation, 0.0))
-    substep, buffer_index, buffers = step, 0, workspace.memory.contacts
+    step = context.step
+    begin_steps(context, contacts, log, actuation)
     for j in range(log.progress[DONE], step.substeps * log.contacts.shape[0]):
+        context.row = j // step.substeps
         if step.motion.most > 1:
-            substep = substep_by_motion(step, substep, workspace.memory.cells, actuation)
-            fly_on(step, substep, workspace.contacts, step.dt - substep.dt, actuation, log.shifts)
-        for _ in range(substep.substeps // step.substeps):
-            buffer_index = 1 - buffer_index
-            segments = do_substep_in_batches(
-                substep, options, workspace, buffers[buffer_index], log, j // step.substeps, actuation
-            )
-            if actuation is not None:
-                substep, step = substep_of(substep, segments), substep_of(step, segments)
+            divide_by_motion(context, log, actuation)
+        for _ in range(context.substep.substeps // step.substeps):
+            do_substep_in_batches(context, workspace, log, actuation)
         if step.motion.most > 1:
-            fly_on(step, substep, workspace.contacts, substep.dt - step.dt, actuation, log.shifts)
+            fly_on(context, context.substep.dt - step.dt, log, actuation)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.substeps == 0:
             break
-    walls = Walls(step.box, step.scales.wall_skin)
-    write_geometry(step.bodies.position, step.bodies.radius, walls, step.segments, workspace.contacts, 0)
+    segments, following = context.substep.segments, context.contacts
+    write_geometry(step.bodies.position, step.bodies.radius, walls_of(step), segments, following, 0)
     log.progress[FINITE] = all_finite(step.bodies.position)
-    return workspace.contacts, workspace.pair_impulses
+    return following, context.pair_impulses
 
 
 @njit(inline="always")
-def do_substep_in_batches(substep, options, workspace, buffer, log, k, actuation):
-    """`algorithm.do_substep` in batches: velocities, positions, and the contacts of the next substep, in the buffer.
-
-    Returns the segments after the substep.
-    """
-    bodies, box, segments, scales = substep.bodies, substep.box, substep.segments, substep.scales
-    n, theta = bodies.mass.shape[0], workspace.memory.theta
-    cells, is_built = workspace.memory.cells, workspace.memory.is_built
-    plan_substep(substep, workspace)
-    plan, tiles, solved = workspace.plan, workspace.tiles, workspace.contacts
+def do_substep_in_batches(context, workspace, log, actuation):
+    """`algorithm.do_substep` in batches: velocities, positions, and the contacts of the next substep, all in place."""
+    substep, options, memory, solved = context.substep, context.options, context.memory, context.contacts
+    bodies, segments, scales, n = substep.bodies, substep.segments, substep.scales, substep.bodies.mass.shape[0]
+    cells, is_built, theta = memory.cells, memory.is_built, memory.theta
+    plan_batches_of(solved, n, workspace)
+    plan, tiles = workspace.plan, workspace.tiles
     # Velocities: rebounds, forces, tiles, and the impulses that solve them.
     velocities = tiles.solver_bodies[:n]
     if is_built:
-        take_velocities(workspace.memory.solver_bodies, velocities)
+        take_velocities(memory.solver_bodies, velocities)
     else:
-        impacts = logged_rebound(substep, substep.motion, solved, log, actuation)
-        workspace.pair_impulses = log_impulses(log, workspace.pair_impulses, solved, impacts, n)
+        log_pairs(context, log, solved, logged_rebound(context, context.step.motion, solved, log, actuation))
         integrate_velocities(bodies, substep.gravity, substep.dt, velocities, actuation)
     fill_centres(bodies, tiles.centre[:n])
-    start_blocks(substep, solved, plan, tiles, workspace.memory.rows, is_built, actuation)
+    start_blocks(substep, solved, plan, tiles, memory.rows, is_built, actuation)
     sweeps = relax_tiles(options.settings, plan, tiles, substep.friction, theta)
     if sweeps > 0 and not all_finite(velocities):
         theta[sweeps - 1] = np.nan
@@ -227,25 +216,25 @@ def do_substep_in_batches(substep, options, workspace, buffer, log, k, actuation
     before = positions_before(bodies, segments)
     integrate_positions(bodies, velocities, substep, segments, actuation, log.shifts)
     correct_positions_in_batches(plan, tiles, bodies, scales, options.position_sweeps)
-    log_substep(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
+    log_substep(log, context.row, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
     if is_asked(log):
-        workspace.pair_impulses = log_impulses(
-            log, workspace.pair_impulses, solved, impulses_of(solved, 1.0 / substep.substeps), n
-        )
+        log_pairs(context, log, solved, impulses_of(solved, 1.0 / substep.substeps))
     # The contacts of the next substep. Logs and impacts read the geometry of all contacts, tiles that of walls.
+    context.buffer = 1 - context.buffer
     least = 0 if substep.restitution > 0.0 or is_asked(log) or actuation is not None else n
-    position, radius, walls = bodies.position, bodies.radius, Walls(box, scales.wall_skin)
+    position, radius, walls = bodies.position, bodies.radius, walls_of(substep)
     passed = stay_inside.clamp_inside(bodies, before, walls, segments, solved, actuation, substep.dt)
     broad_phase.refresh_list(position, radius, cells, 0.0)
-    mass = mass_if_fixed(bodies, actuation)
-    workspace.contacts = find_pairs(position, radius, mass, walls, segments, cells, buffer)
-    write_geometry(position, radius, walls, segments, workspace.contacts, least)
+    mass, buffer = mass_if_fixed(bodies, actuation), memory.contacts[context.buffer]
+    following = find_pairs(position, radius, mass, walls, segments, cells, buffer)
+    write_geometry(position, radius, walls, segments, following, least)
     if actuation is not None:
-        workspace.contacts = without_passed(workspace.contacts, bodies, segments, actuation, log.progress)
+        following = without_passed(following, bodies, segments, actuation, log.progress)
         if passed >= 0:
             log.progress[PASSED] = passed + 1
-    carry_impulses(solved, workspace.contacts, options.carry)
-    return segments
+        place_segments(context, segments)
+    carry_impulses(solved, following, options.carry)
+    context.contacts = following
 
 
 @njit(cache=True)
@@ -257,9 +246,8 @@ def take_velocities(solver_bodies, velocities):
 
 
 @njit(cache=True, error_model="numpy")
-def plan_substep(substep, workspace):
-    """Plan the batches of the contacts of the workspace, and allocate their tiles if needed, in place."""
-    n, contacts = substep.bodies.mass.shape[0], workspace.contacts
+def plan_batches_of(contacts, n, workspace):
+    """Plan the batches of contacts of n circles, and allocate their tiles if needed, in place on the workspace."""
     if not batches.is_plan_of(workspace.plan, n, contacts, workspace.solved):
         workspace.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, workspace.plan)
     workspace.tiles = batches.with_room(workspace.plan, workspace.tiles)
@@ -283,13 +271,14 @@ class _Run:
     """`algorithm.advance` for one run of `BatchedPGS`, with its workspace."""
 
     def __init__(self, solver: BatchedPGS):
-        self._room, self._plain, self._driven = None, Direct(advance_in_batches), Direct(advance_in_batches)
+        self._workspace, self._plain, self._actuated = None, Direct(advance_in_batches), Direct(advance_in_batches)
 
-    def __call__(self, setup, contacts, motion, sleep, log, actuation):
+    def __call__(self, context, contacts, motion, sleep, log, actuation):
         """Arguments and result are those of `algorithm.advance`."""
-        if self._room is None:
-            self._room = make_batch_workspace(contacts, setup)
-        return (self._plain if actuation is None else self._driven)(setup, contacts, self._room, log, actuation)
+        if self._workspace is None:
+            self._workspace = make_batch_workspace(context, contacts)
+        run = self._plain if actuation is None else self._actuated
+        return run(context, contacts, self._workspace, log, actuation)
 
 
 _LOOP = Loop(BatchSettings, relax_in_batches)

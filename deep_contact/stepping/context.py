@@ -11,10 +11,10 @@ from deep_contact.compiled.structures import Structure, StructureType, define
 from deep_contact.state.arrays import Bodies, Contacts
 from deep_contact.state.scales import ContactScales
 from deep_contact.stepping.broad_phase import Cells, make_cells
-from deep_contact.stepping.contacts import make_contacts
+from deep_contact.stepping.contacts import Walls, make_contacts
 from deep_contact.stepping.position_correction import CorrectionWorkspace, make_correction_workspace
 from deep_contact.stepping.rows import Rows, make_rows
-from deep_contact.stepping.segment_grid import NO_SEGMENTS, Segments
+from deep_contact.stepping.segment_grid import NO_SEGMENTS, Segments, moved_segments
 
 
 class Motion(NamedTuple):
@@ -84,21 +84,43 @@ class StepMemory(NamedTuple):
     is_built: bool = False  # whether solver bodies and rows of the only step are filled already (`problem.StepProblem`)
 
 
-class _StepSetupType(StructureType):
-    """Numba's type of a `StepSetup`."""
+class _StepContextType(StructureType):
+    """Numba's type of a `StepContext`."""
 
 
-class StepSetup(Structure):
-    """A `StepInput`, `StepOptions` and a `StepMemory`: the arguments that stay the same over many calls."""
+class StepContext(Structure):
+    """What the phases of a step read, and the fields that they replace in place.
+
+    | field         | meaning                                                                         | changes |
+    |---------------|---------------------------------------------------------------------------------|---------|
+    | step          | `StepInput` of the solver's substep                                             | no      |
+    | options       | `StepOptions`                                                                   | no      |
+    | memory        | `StepMemory`                                                                    | no      |
+    | substep       | `StepInput` of the next substep: divided by motion, with its segments in place  | yes     |
+    | contacts      | `Contacts` at the positions of the circles                                      | yes     |
+    | pair_impulses | see `StepLog.pair_impulses`                                                     | yes     |
+    | row           | row of the log in which the step is logged                                      | yes     |
+    | buffer        | index of the buffer of `StepMemory.contacts` that holds the contacts, 0 or 1    | yes     |
+    """
 
 
-define(StepSetup, _StepSetupType, ("step", "options", "memory"))
+_FIELDS = "step", "options", "memory", "substep", "contacts", "pair_impulses", "row", "buffer"
+define(StepContext, _StepContextType, _FIELDS)
 
 
 @njit(cache=True)
-def make_setup(step, options, memory):
-    """The `StepSetup` of a `StepInput`, `StepOptions` and a `StepMemory`."""
-    return StepSetup(step, options, memory)
+def make_context(step, options, memory, contacts, log):
+    """The `StepContext` of steps that start from these contacts. log: `StepLog`."""
+    return StepContext(step, options, memory, step, contacts, log.pair_impulses, 0, 0)
+
+
+@njit(inline="always")
+def begin_steps(context, contacts, log, actuation):
+    """Prepare a context, in place, for steps that start from these contacts."""
+    context.contacts, context.pair_impulses, context.buffer = contacts, log.pair_impulses, 0
+    if actuation is not None:
+        segments = moved_segments(context.step.segments, actuation, 0.0)
+        context.substep = substep_of(context.step, segments)
 
 
 def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
@@ -112,6 +134,12 @@ def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
     )  # fmt: skip
 
 
+@njit(inline="always")
+def walls_of(step):
+    """The `Walls` of a step: its box with the skin in which a contact begins."""
+    return Walls(step.box, step.scales.wall_skin)
+
+
 @njit(cache=True, error_model="numpy")
 def substep_of(step, segments, substeps=1):
     """The input of one of several equal substeps of a step. step: `StepInput`. segments: at the substep's start."""
@@ -119,3 +147,9 @@ def substep_of(step, segments, substeps=1):
         step.bodies, step.box, segments, step.gravity, step.friction, step.restitution, step.dt / substeps,
         step.substeps * substeps, step.scales, step.motion, step.actuation,
     )  # fmt: skip
+
+
+@njit(cache=True)
+def place_segments(context, segments):
+    """Replace the segments of the substep, in place."""
+    context.substep = substep_of(context.substep, segments)

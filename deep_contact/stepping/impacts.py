@@ -94,14 +94,15 @@ class Round(NamedTuple):
     pair_impulses: np.ndarray
 
 
-@njit(inline="always")
-def logged_rebound(step, motion, contacts, log, actuation):
+@njit(cache=True, error_model="numpy")
+def logged_rebound(context, motion, contacts, log, actuation):
     """`rebound`, with its work in the log. Returns the impulses on second bodies, (m, 2), N·s; (0, 2) if not needed.
 
-    motion: `Motion` of the step; None without optional features (`context.with_optional`), and so without restitution.
+    context: `StepContext`. motion: `Motion` of its step; None without optional features, and so without restitution.
     """
     impulse = log.loads[:0]
     if motion is not None:
+        step = context.substep
         if is_asked(log) or actuation is not None:
             impulse = np.zeros((contacts.body_a.shape[0], 2))
         work = rebound(step, contacts, impulse, actuation)

@@ -162,6 +162,21 @@ def log_impulses(log, pair_impulses, contacts, impulse, n):
 
 
 @njit(cache=True)
+def log_pairs(context, log, contacts, impulse):
+    """`log_impulses`, in place on the context. impulse: on second bodies, (m, 2), N·s."""
+    n = context.step.bodies.mass.shape[0]
+    context.pair_impulses = log_impulses(log, context.pair_impulses, contacts, impulse, n)
+
+
+@njit(cache=True)
+def log_rest(context, log):
+    """Log a substep in which all circles sleep, in place: contacts keep their impulses."""
+    log_substep(log, context.row, 0, 0, context.memory.theta, 0)
+    if is_asked(log):
+        log_pairs(context, log, context.contacts, impulses_of(context.contacts, 1.0 / context.step.substeps))
+
+
+@njit(cache=True)
 def with_pairs(pair_impulses, contacts):
     """`StepLog.pair_impulses` with a row for each of these contacts, in their order; itself if it has all rows."""
     k, m, new, j = pair_impulses.shape[0], contacts.body_a.shape[0], 0, 0

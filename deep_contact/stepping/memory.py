@@ -10,12 +10,12 @@ from deep_contact.stepping import sleeping
 from deep_contact.stepping.algorithm import advance
 from deep_contact.stepping.contacts import make_contacts
 from deep_contact.stepping.context import (
+    StepContext,
     StepInput,
     StepMemory,
     StepOptions,
-    StepSetup,
+    make_context,
     make_memory,
-    make_setup,
     with_optional,
 )
 from deep_contact.stepping.interface import entry_of, make_workspace
@@ -38,7 +38,7 @@ class Steps:
         self._options = StepOptions(entry.settings(solver), solver.position_sweeps, carry)
         self._solver, self._memory, self._direct = solver, {}, {}
         self._asked = self._rare = None  # the last input of steps, and its `with_optional`
-        self._setups: dict = {}  # buffer -> the last input of steps, and its setup
+        self._contexts: dict = {}  # buffer -> the last input of steps, and its context
         self._found: tuple = (None, -1, False)  # body_a of the last contacts, their buffer, and the key of its memory
         self.sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
 
@@ -106,8 +106,9 @@ class Steps:
             kind = self._is_plain, key, step.actuation is None  # what the types of all arguments depend on
             if kind not in self._direct:
                 self._direct[kind] = Direct(self._advance)
-            setup = self._setup_of(step, buffer, contacts.count, built)
-            following, pair_impulses = self._direct[kind](setup, contacts, step.motion, self.sleep, log, step.actuation)
+            context = self._context_of(step, buffer, contacts, log, built)
+            advance_steps = self._direct[kind]
+            following, pair_impulses = advance_steps(context, contacts, step.motion, self.sleep, log, step.actuation)
             substeps = int(log.substeps[0] if len(log.substeps) == 1 else log.substeps.sum())
             following, before = self._keep(following, substeps - before, buffer, key), substeps
             if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.substeps * len(log.contacts):
@@ -116,18 +117,19 @@ class Steps:
             self._is_plain, contacts, log, built = False, following, log._replace(pair_impulses=pair_impulses), None
             buffer = self._buffer_of(following, key)
 
-    def _setup_of(self, step: StepInput, buffer: int, contacts: int, built: dict | None) -> StepSetup:
-        """The setup of steps whose contacts lie in this buffer. It is kept until the input of the steps changes.
+    def _context_of(self, step: StepInput, buffer: int, contacts: Contacts, log: StepLog, built) -> StepContext:
+        """The context of steps from contacts in this buffer. It serves until the input of the steps changes.
 
-        contacts: their number. built: fields of the memory that are filled already for a single step, or None.
+        built: fields of the memory that are filled already for a single step, or None.
         """
-        before, setup = self._setups.get(buffer, (None, None))
+        before, context = self._contexts.get(buffer, (None, None))
         if built is not None or before is not step:
-            memory = self._memories(step, contacts)[buffer]
-            setup = make_setup(step, self._options, memory._replace(**built) if built else memory)
+            memory = self._memories(step, contacts.count)[buffer]
+            memory = memory._replace(**built) if built else memory
+            context = make_context(step, self._options, memory, contacts, log)
             if built is None:
-                self._setups[buffer] = step, setup
-        return setup
+                self._contexts[buffer] = step, context
+        return context
 
     def _with_optional(self, step: StepInput) -> StepInput:
         if step is not self._asked:

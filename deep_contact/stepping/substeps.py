@@ -24,23 +24,27 @@ from deep_contact.stepping.segment_grid import is_free, near_box, segment_gap
 from deep_contact.stepping.segments import wall_velocity
 
 
-@njit(inline="always")
-def substep_by_motion(step, substep, cells, actuation):
-    """Input of the parts into which motion divides the solver's next substep; `substep` itself if none changes."""
-    substeps = substeps_by_motion(step, cells, actuation)
-    return substep if substeps * step.substeps == substep.substeps else substep_of(step, step.segments, substeps)
+@njit(cache=True, error_model="numpy")
+def divide_by_motion(context, log, actuation):
+    """Divide the solver's next substep by motion, in place on `StepContext.substep`."""
+    step = context.step
+    if actuation is not None:
+        step = substep_of(step, context.substep.segments)
+    substeps = substeps_by_motion(step, context.memory.cells, actuation)
+    if substeps * step.substeps != context.substep.substeps:
+        context.substep = substep_of(step, step.segments, substeps)
+    fly_on(context, step.dt - context.substep.dt, log, actuation)
 
 
-@njit(inline="always")
-def fly_on(step, substep, contacts, change, actuation, shifts):
+@njit(cache=True, error_model="numpy")
+def fly_on(context, change, log, actuation):
     """Correct the velocities of circles in flight for a change of Δt (`shift_flights`), in place.
 
-    It is needed where e > 0 and motion has divided the solver's substep.
-    step: `StepInput` of the solver's substep. substep: `StepInput` after the division. change: decrease of Δt, s.
-    shifts: `StepLog.shifts`.
+    The correction is needed where e > 0 and motion has divided the solver's substep. change: decrease of Δt, s.
     """
-    if substep.substeps > step.substeps and step.restitution > 0.0:
-        shift_flights(step.bodies, contacts, step.gravity, change, actuation, shifts)
+    step = context.step
+    if context.substep.substeps > step.substeps and step.restitution > 0.0:
+        shift_flights(step.bodies, context.contacts, step.gravity, change, actuation, log.shifts)
 
 
 @njit(cache=True, error_model="numpy")
