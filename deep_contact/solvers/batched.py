@@ -1,4 +1,7 @@
-"""Projected Gauss-Seidel in batches of contacts that share no circle, eight at a time (`solvers.batches`)."""
+"""Projected Gauss-Seidel over batches of contacts that share no circle. Eight contacts are relaxed at a time.
+
+`solvers.batches` has the data structure: a plan of the batches, and tiles of eight contacts.
+"""
 
 from __future__ import annotations
 
@@ -42,12 +45,12 @@ from deep_contact.stepping.substeps import fly_on, substep_by_motion
 
 @dataclass(frozen=True, kw_only=True)
 class BatchedPGS(SolverOptions):
-    """Projected Gauss-Seidel in batches of contacts that share no circle, eight at a time: for large scenes.
+    """Projected Gauss-Seidel for large scenes, over batches of contacts that share no circle, eight contacts at a time.
 
-    The options are those of every solver (`SolverOptions`). Position correction goes in the same batches.
+    The options are those of every solver (`SolverOptions`). Position correction uses the same batches.
 
-    Weakness: the order of the contacts is not that of the list, so it may need more sweeps than PGS. Finding the
-    batches takes time in each step in which contacts have changed, which a few sweeps do not repay.
+    Weakness: contacts are not swept in the order of the list, so the solver may need more sweeps than PGS. In each step
+    in which the list of contacts has changed, the batches are found anew. A few sweeps do not repay this time.
     """
 
 
@@ -56,7 +59,10 @@ BatchSettings = namedtuple("BatchSettings", ["tolerance"])
 
 @njit(cache=True, fastmath=CONTRACT)
 def sweep_tiles(tiles, first, last, friction):
-    """`rows.sweep` over the tiles from `first` to before `last`, in place. Returns θ, N·s."""
+    """Do a sweep as `rows.sweep` over the tiles from `first` to before `last`, in place. Returns θ, N·s.
+
+    tiles: `Tiles`. friction: Coulomb's μ. θ is the largest change of an impulse in the sweep.
+    """
     body, data, impulse, solver_bodies = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies
     mu, none = spread(friction), spread(0.0)
     theta = none
@@ -90,7 +96,7 @@ def sweep_tiles(tiles, first, last, friction):
 
 @njit(cache=True)
 def sweep_blocks(plan, tiles, friction):
-    """One sweep over all tiles, in place. Returns θ."""
+    """Do one sweep over all tiles of a plan, in place. Returns θ, the largest change of an impulse, N·s."""
     theta = 0.0
     for k in plan.order[: plan.count[BLOCKS]]:
         theta = max(theta, sweep_tiles(tiles, plan.first[k], plan.first[k + 1], friction))
@@ -99,7 +105,10 @@ def sweep_blocks(plan, tiles, friction):
 
 @njit(cache=True)
 def correct_blocks(plan, tiles, scales):
-    """One sweep of position correction over all tiles, in place. Returns the deepest separation, m."""
+    """Do one sweep of position correction over all tiles of a plan, in place.
+
+    Returns the smallest separation before the corrections, m, or 0 if no contact penetrates.
+    """
     body, data, centre, first, deepest = tiles.body, tiles.data, tiles.centre, plan.first, 0.0
     for k in plan.order[: plan.count[BLOCKS]]:
         deepest = min(deepest, correct_tiles(body, data, ARM_B + 1, centre, first[k], first[k + 1], scales))
@@ -108,7 +117,10 @@ def correct_blocks(plan, tiles, scales):
 
 @njit(cache=True)
 def relax_tiles(settings, plan, tiles, friction, theta):
-    """Projected Gauss-Seidel in batches, in place on the tiles; fills θ. Returns the number of sweeps."""
+    """Do sweeps over all tiles of a plan, in place, until θ is within the tolerance. Returns the number of sweeps.
+
+    settings: `BatchSettings`. theta: buffer for θ of each sweep, N·s; its length is the largest number of sweeps.
+    """
     for k in range(theta.shape[0]):
         theta[k] = sweep_blocks(plan, tiles, friction)
         if is_over(theta[k], settings.tolerance):
@@ -118,7 +130,10 @@ def relax_tiles(settings, plan, tiles, friction, theta):
 
 @njit(cache=True)
 def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
-    """`relax_tiles` for the rows of a single solve, with a plan and tiles of its own."""
+    """Relax the rows of a single solve by `relax_tiles`, with a plan and tiles made for these rows.
+
+    Arguments and result are those of `Loop.relax` (`stepping.interface`).
+    """
     m, n = rows.body.shape[0], solver_bodies.shape[0] - 4
     pairs = rows.body.astype(np.int64)
     plan = batches.plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, batches.make_plan(n, m))
@@ -130,7 +145,10 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
 
 @njit(cache=True, error_model="numpy")
 def correct_positions_in_batches(plan, tiles, bodies, scales, sweeps):
-    """`position_correction.correct_positions` over the tiles of the plan."""
+    """Correct positions as `position_correction.correct_positions`, but over the tiles of a plan. Bodies move in place.
+
+    sweeps: largest number of sweeps.
+    """
     centre = tiles.centre[: bodies.mass.shape[0]]
     fill_centres(bodies, centre)
     for _ in range(sweeps):
@@ -144,10 +162,10 @@ class _BatchWorkspaceType(StructureType):
 
 
 class BatchWorkspace(Structure):
-    """Workspace that the steps of a run pass on. A step replaces a field that is too small.
+    """Workspace that each step of a run passes to the next step. A step replaces an array that is too small.
 
-    plan: `BatchPlan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this step. memory:
-    `StepMemory`. pair_impulses: of `StepLog`.
+    plan: `BatchPlan`. tiles: `Tiles`. solved: `Contacts` of the last solved substep, which the plan fits. contacts:
+    `Contacts` of the next substep. memory: `StepMemory`. pair_impulses: `StepLog.pair_impulses`.
     """
 
 
@@ -156,7 +174,7 @@ define(BatchWorkspace, _BatchWorkspaceType, ("plan", "tiles", "solved", "contact
 
 @njit(cache=True)
 def make_batch_workspace(contacts, setup):
-    """A `BatchWorkspace` for steps that start from these contacts. setup: `StepSetup`."""
+    """Return a `BatchWorkspace` for steps that start from these contacts. setup: `StepSetup`."""
     memory = setup.memory
     n = memory.cells.cell.shape[0]
     plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1)
@@ -165,7 +183,12 @@ def make_batch_workspace(contacts, setup):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance_in_batches(setup, contacts, workspace, log, actuation):
-    """`algorithm.advance` for `BatchedPGS`. workspace: `BatchWorkspace`, which each call passes on to the next."""
+    """Do steps as `algorithm.advance`, with the solver `BatchedPGS`. Bodies move in place.
+
+    setup: `StepSetup`. contacts: `Contacts` at the start. workspace: `BatchWorkspace`, changed in place and passed to
+    the next call. log: `StepLog`, filled in place. actuation: `Actuation` of the steps, or None. Returns the contacts
+    at the end, and `StepLog.pair_impulses`.
+    """
     step, options = setup.step, setup.options
     workspace.contacts, workspace.memory, workspace.pair_impulses = contacts, setup.memory, log.pair_impulses
     if actuation is not None:
@@ -195,16 +218,18 @@ def advance_in_batches(setup, contacts, workspace, log, actuation):
 
 @njit(inline="always")
 def do_substep_in_batches(substep, options, workspace, buffer, log, k, actuation):
-    """`algorithm.do_substep` in batches: velocities, positions, and the contacts of the next substep, in the buffer.
+    """Do a substep of the k-th step: velocities, positions, and the contacts of the next substep
+    (`algorithm.do_substep`).
 
-    Returns the segments after the substep.
+    substep: `StepInput`. options: `StepOptions`. workspace: `BatchWorkspace`, changed in place. buffer: `Contacts`, in
+    whose arrays the next contacts are written. Returns the segments after the substep.
     """
     bodies, box, segments, scales = substep.bodies, substep.box, substep.segments, substep.scales
     n, theta = bodies.mass.shape[0], workspace.memory.theta
     cells, is_built = workspace.memory.cells, workspace.memory.is_built
     plan_substep(substep, workspace)
     plan, tiles, solved = workspace.plan, workspace.tiles, workspace.contacts
-    # Velocities: rebounds, forces, tiles, and the impulses that solve them.
+    # Velocities: rebounds, external forces, rows in tiles, and the sweeps that solve the rows.
     velocities = tiles.solver_bodies[:n]
     if is_built:
         take_velocities(workspace.memory.solver_bodies, velocities)
@@ -219,7 +244,7 @@ def do_substep_in_batches(substep, options, workspace, buffer, log, k, actuation
         theta[sweeps - 1] = np.nan
     for block in range(plan.count[BLOCKS]):
         batches.store_block(plan, tiles, solved, block, substep.substeps)
-    # Positions: of segments and of circles, and position correction.
+    # Positions: segments and circles move, and position correction follows.
     if actuation is not None:
         log_work(substep, solved, velocities, log)
         batches.move_points(plan, tiles, substep.dt)
@@ -232,7 +257,8 @@ def do_substep_in_batches(substep, options, workspace, buffer, log, k, actuation
         workspace.pair_impulses = log_impulses(
             log, workspace.pair_impulses, solved, impulses_of(solved, 1.0 / substep.substeps), n
         )
-    # The contacts of the next substep. Logs and impacts read the geometry of all contacts, tiles that of walls.
+    # Contacts of the next substep. Logs and impacts need the geometry of all contacts; tiles need that of contacts
+    # with walls and segments only.
     least = 0 if substep.restitution > 0.0 or is_asked(log) or actuation is not None else n
     position, radius, walls = bodies.position, bodies.radius, Walls(box, scales.wall_skin)
     passed = stay_inside.clamp_inside(bodies, before, walls, segments, solved, actuation, substep.dt)
@@ -250,7 +276,10 @@ def do_substep_in_batches(substep, options, workspace, buffer, log, k, actuation
 
 @njit(cache=True)
 def take_velocities(solver_bodies, velocities):
-    """Copy the velocities of solver bodies, in place. The loop compiles in less time than a slice."""
+    """Copy the velocities of the solver bodies into `velocities`, (n, 4), in place.
+
+    This loop compiles faster than a slice.
+    """
     for i in range(velocities.shape[0]):
         for c in range(velocities.shape[1]):
             velocities[i, c] = solver_bodies[i, c]
@@ -258,7 +287,7 @@ def take_velocities(solver_bodies, velocities):
 
 @njit(cache=True, error_model="numpy")
 def plan_substep(substep, workspace):
-    """Plan the batches of the contacts of the workspace, and allocate their tiles if needed, in place."""
+    """Plan the batches of the contacts of the workspace, in place. Tiles that are too small are replaced."""
     n, contacts = substep.bodies.mass.shape[0], workspace.contacts
     if not batches.is_plan_of(workspace.plan, n, contacts, workspace.solved):
         workspace.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, workspace.plan)
@@ -268,7 +297,11 @@ def plan_substep(substep, workspace):
 
 @njit(cache=True, error_model="numpy")
 def start_blocks(step, contacts, plan, tiles, rows, is_built, actuation):
-    """Fill the rows of all blocks and apply their starting impulses, block by block, in place on the tiles."""
+    """Fill the rows of all blocks and apply their starting impulses, block by block, in place on the tiles.
+
+    step: `StepInput`. rows: `Rows` built before, which are copied if `is_built` is True. actuation: `Actuation`, or
+    None.
+    """
     for k in plan.order[: plan.count[BLOCKS]]:
         batches.place_block(step, contacts, plan, tiles, k, actuation)
         if is_built:
@@ -280,13 +313,13 @@ def start_blocks(step, contacts, plan, tiles, rows, is_built, actuation):
 
 
 class _Run:
-    """`algorithm.advance` for one run of `BatchedPGS`, with its workspace."""
+    """A function in place of `algorithm.advance` for one run of `BatchedPGS`. It holds the workspace of the run."""
 
     def __init__(self, solver: BatchedPGS):
         self._room, self._plain, self._driven = None, Direct(advance_in_batches), Direct(advance_in_batches)
 
     def __call__(self, setup, contacts, motion, sleep, log, actuation):
-        """Arguments and result are those of `algorithm.advance`."""
+        """Do steps. Arguments and result are those of `algorithm.advance`."""
         if self._room is None:
             self._room = make_batch_workspace(contacts, setup)
         return (self._plain if actuation is None else self._driven)(setup, contacts, self._room, log, actuation)

@@ -148,16 +148,13 @@ class Contacts(NamedTuple):
 
     @property
     def have_past(self) -> bool:
-        """Whether any starting impulse differs from 0, as after an earlier step. Contacts found from positions alone
-        start from 0.
-        """
+        """Whether any starting impulse is not 0, as after an earlier step. Contacts of positions alone start from 0."""
         return bool(self.normal_start.any() or self.tangent_start.any())
 
     def table(self) -> dict[str, np.ndarray]:
-        """Return the columns body_a, body_b, x, y, n_x, n_y and the other fields by name, (m,) each, in the units
-        above.
+        """Return the columns body_a, body_b, x, y, n_x, n_y and the other fields by name, (m,) each.
 
-        `dc.contact_table(state)` also names walls and segments, and has forces.
+        Units are those above. `dc.contact_table(state)` also names walls and segments, and has forces.
         """
         (x, y), (n_x, n_y) = self.position.T, self.normal.T
         places = {"x": x, "y": y, "n_x": n_x, "n_y": n_y}
@@ -169,10 +166,9 @@ class Contacts(NamedTuple):
 
 
 def body_name(body: int, circles: int) -> int | str:
-    """Return a body of a contact as users name it: the index of a circle, the name of a wall such as "floor", or
-    "segment 3".
+    """Return a body of a contact as users name it: the index of a circle, "floor", or "segment 3".
 
-    body: value of `body_a` or `body_b`. circles: number of circles, n.
+    body: value of `body_a` or `body_b`. circles: number of circles, n. The names of the walls are those of `SIDES`.
     """
     beyond = body - circles
     return body if beyond < 0 else SIDES[beyond] if beyond < 4 else f"segment {beyond - 4}"

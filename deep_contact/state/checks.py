@@ -47,8 +47,9 @@ def check_types(state) -> State:
 
 
 def check_solution(state: State) -> None:
-    """Raise ValueError unless the contacts of a state hold the solution of one contact problem
-    (`State.holds_solution`).
+    """Raise ValueError if the contacts of a state do not hold the solution of one contact problem.
+
+    `State.holds_solution` has the condition.
     """
     if state.contacts is None or not state.holds_solution:
         raise ValueError(f"state.solved: expected a state of one solve, without substeps and rebounds, got {state!r}")

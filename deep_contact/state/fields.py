@@ -228,7 +228,7 @@ def is_unit(normal: np.ndarray) -> np.ndarray:
 
 
 def beyond_limits(**parts) -> Iterator[str]:
-    """Yield a message for each quantity with a value outside of `LIMITS`: its name and index, its limits, and the
+    """Yield a message for each quantity outside of `LIMITS`: its name, the index of the value, the limits, and the
     value.
 
     parts: fields of a state by name, such as `bodies` and `dt`. Quantities of fields that are missing or None are

@@ -64,9 +64,7 @@ class State:
 
     @property
     def holds_solution(self) -> bool:
-        """Whether the contacts hold the solution of one contact problem, as after a step without substeps and
-        restitution.
-        """
+        """Whether the contacts solve one contact problem, as after a step without substeps and restitution."""
         is_divided = self.solver is not None and self.solver.substeps * self.solver.motion_parts > 1
         return self.solved and self.world.restitution == 0.0 and not is_divided
 
@@ -129,9 +127,7 @@ class State:
         return summary | ({"impulses": "solved"} if self.solved else {})
 
     def _walls(self) -> str:
-        """Return the number of contacts of each wall and of all segments together, as text: "floor 9, left 2, segments
-        4".
-        """
+        """Return the numbers of contacts of each wall and of all segments, as text: "floor 9, left 2, segments 4"."""
         beyond = np.zeros(0, int) if self.contacts is None else self.contacts.body_b - self.bodies.count
         touched = Counter(SIDES[wall] if wall < 4 else "segments" for wall in np.sort(beyond[beyond >= 0]))
         return ", ".join(f"{name} {count:,}" for name, count in touched.items())

@@ -53,10 +53,9 @@ def refuse_where(bad: np.ndarray, name: str, values: np.ndarray, expected: str) 
 
 
 def integer(name: str, value, least: int = 0, most: int | None = None, *, hint: str = "") -> int:
-    """Return `value` as an int from `least` to `most`, both included. A bool or a float, such as 2.0, is not an
-    integer.
+    """Return `value` as an int from `least` to `most`, both included.
 
-    hint: advice at the end of the message.
+    A bool or a float, such as 2.0, is not an integer. hint: advice at the end of the message.
     """
     is_one = type(value) is int or (isinstance(value, Integral) and not isinstance(value, bool))
     if not is_one or value < least:
@@ -67,8 +66,9 @@ def integer(name: str, value, least: int = 0, most: int | None = None, *, hint: 
 
 
 def number(name: str, value, low=None, high=None, *, above=None, below=None) -> float:
-    """Return `value` as a finite float with low <= value <= high and above < value < below. A limit of None is not
-    tested.
+    """Return `value` as a finite float with low <= value <= high and above < value < below.
+
+    A limit of None is not tested.
     """
     try:
         checked = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
@@ -97,8 +97,9 @@ def several(name: str, values, count: int, *, check=number, expected: str = "fin
 
 
 def list_of(name: str, kind: type, values) -> list:
-    """Return several values of the type `kind` as a list. Raises ValueError on a single value and on a value of another
-    type.
+    """Return several values of the type `kind` as a list.
+
+    Raises ValueError on a single value, and on a value of another type.
     """
     expected = f"{name}: expected several {kind.__name__} objects, such as a list,"
     expect(isinstance(values, Iterable) and not isinstance(values, (str, bytes)), f"{expected} got {brief(values)}")
