@@ -218,11 +218,11 @@ def advance_in_batches(setup, contacts, workspace, log, actuation):
 
 @njit(inline="always")
 def do_substep_in_batches(substep, options, workspace, buffer, log, k, actuation):
-    """Do a substep of the k-th step: velocities, positions, and the contacts of the next substep
-    (`algorithm.do_substep`).
+    """Do a substep of the k-th step as `algorithm.do_substep`, over batches of contacts.
 
-    substep: `StepInput`. options: `StepOptions`. workspace: `BatchWorkspace`, changed in place. buffer: `Contacts`, in
-    whose arrays the next contacts are written. Returns the segments after the substep.
+    It computes velocities, positions, and the contacts of the next substep. substep: `StepInput`. options:
+    `StepOptions`. workspace: `BatchWorkspace`, changed in place. buffer: `Contacts`, in whose arrays the next contacts
+    are written. Returns the segments after the substep.
     """
     bodies, box, segments, scales = substep.bodies, substep.box, substep.segments, substep.scales
     n, theta = bodies.mass.shape[0], workspace.memory.theta

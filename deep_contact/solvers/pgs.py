@@ -22,8 +22,9 @@ class PGS(SolverOptions):
     """Projected Gauss-Seidel, the thesis's Algorithm 1 with the friction row of Box2D beside every normal row.
 
     islands: whether to sweep each island, a group of connected circles, on its own. The sweeps of each island then end
-    at the tolerance. This saves nothing for a scene with one island, or without a tolerance. sweeps, tolerance: see
-    `SweepOptions`. position_sweeps, substeps, most_substeps, approach, slop: options of stepping, see `SolverOptions`.
+    at the tolerance. This saves nothing for a scene with one island, or without a tolerance.
+    sweeps, tolerance: see `SweepOptions`.
+    position_sweeps, substeps, most_substeps, approach, slop: options of stepping, see `SolverOptions`.
 
     Weakness: it is stable, but slow. Every sweep lowers the energy of the error, but information travels one contact a
     sweep, so the number of sweeps grows with the square of a pile's height and with the mass ratio.
