@@ -71,8 +71,7 @@ class Trajectory:
         return cls(pack_simulation(states, work=work))
 
     def save(self, path) -> None:
-        """Write the run to an HDF5 file. An error leaves no partial file. Raises OSError if the file cannot be written.
-        """
+        """Write the run to an HDF5 file, without a partial file on an error. Raises OSError if this is impossible."""
         from deep_contact.io.files import write_bytes
         from deep_contact.io.simulation_h5 import simulation_file
 
