@@ -61,12 +61,12 @@ PRESETS: dict[str, dict[str, float]] = {
 """Name of a preset -> tolerance of each error, in %; "contacts" is in contacts per circle.
 
 "preview" tolerates the penetration in an impact at a step of 10 ms, which does not depend on the number of sweeps. From
-"preview" to "accurate" the tolerance of forces is loose because of frictionless piles, whose gaps the slop closes.
+"preview" to "accurate" the tolerance of forces is loose, because in frictionless piles the slop closes gaps.
 """
 
 MARGIN = 0.85
-"""Largest ratio of an error to its tolerance in the study, if a setting reaches it. The margin is needed because the
-study has few seeds of a few scenes."""
+"""Share of the tolerances within which the errors of a setting should be in the study. The study has few seeds of a few
+scenes, so that its errors are uncertain."""
 
 KNOWN = 1.0
 """Largest error, %, that a setting may have in motions with known answers (`run_tradeoff.py`). Presets use no setting
@@ -88,8 +88,8 @@ DENSITIES = {"densities": (2, 10, 100), "heavy on light": (10, 100), "light on h
 mixed, in the other kinds they lie in layers."""
 
 LAYERED = 0.25
-"""Least difference between the mean heights of dense and light circles at which they count as layers, over the height
-of all circles."""
+"""Least difference between the mean heights of dense and light circles at which they count as layers, as a share of the
+height of all circles."""
 
 SPREAD = 2.5
 """Least height of a dam that breaks, over the height that its circles would have if they lay across the whole width of
@@ -99,8 +99,8 @@ DENSE = 0.5
 """Least share of its bounding rectangle that the circles of a dam cover."""
 
 MEASURING = 600 * 500
-"""Time that `measure_trade` takes for 600 steps, over the time of one step of a preset. It is for six seeds, a
-reference, and the reference with half its step."""
+"""Time that `measure_trade` takes for 600 steps, as a multiple of the time of one step of a preset. It is for six
+seeds, a reference, and the reference with half its step."""
 
 
 class PresetWarning(UserWarning):
@@ -192,7 +192,10 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
 
 
 def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
-    """Return a text on the setting of another preset, with its cost over that of the best setting, or ""."""
+    """Return a text on the setting of another preset, with the ratio of its cost to that of the best setting.
+
+    If `accuracy` is "", the text is "".
+    """
     if not accuracy:
         return ""
     other = cheapest(candidates, PRESETS[accuracy])

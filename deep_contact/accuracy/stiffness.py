@@ -1,7 +1,7 @@
 """Stiff scenes, which a few sweeps cannot solve: how they are recognised, and the solver for them.
 
 A sweep carries information one contact further. In a column, Projected Gauss-Seidel therefore needs sweeps in
-proportion to height times load. Such scenes, and scenes with mass ratios beyond those of the study, are solved by
+proportion to height times load. Such columns, and scenes with mass ratios beyond those of the study, are solved by
 conjugate gradients to a tolerance that is small for the lightest circle. The steps are divided into substeps, which a
 mass ratio of 1e8 needs (Figure 6.6).
 
@@ -56,7 +56,7 @@ SUBSTEPS = 4
 """Smallest number of substeps of a step that is solved to a tolerance."""
 
 SHARE = 1e-6
-"""Tolerance of a stiff solve, over m g Δt of the lightest circle, where Δt is that of the substep."""
+"""Tolerance of a stiff solve, divided by m g Δt of the lightest circle, where Δt is that of the substep."""
 
 
 class Stiffness(NamedTuple):
@@ -108,14 +108,14 @@ def height_and_width(numbers: SceneNumbers) -> tuple[float, float]:
     if numbers.gravity == 0.0:
         return 0.0, 0.0
     high, wide = (extent / (2.0 * numbers.radius) + 1.0 for extent in (numbers.height, numbers.width))
-    return min(high, numbers.count), wide  # also if circles fall from far above
+    return min(high, numbers.count), wide  # no column is higher than all its circles
 
 
 def _load(scene: State) -> float:
     """Return the largest ratio of the mass above a circle to its own mass, over all circles.
 
     The scene is divided into upright strips as wide as the largest circle. The mass above a circle is that of the
-    higher circles in its strip, times the ratio of its width to that of the strip.
+    higher circles in its strip, times the diameter of the circle, divided by the width of the strip.
     """
     bodies, gravity = scene.bodies, np.asarray(scene.world.gravity, float)
     if bodies.is_fixed.all():

@@ -28,7 +28,8 @@ REST = 20
 """Number of observations at the end of a run in which the circles count as at rest."""
 
 SETTLED = 0.2
-"""Rms speed of the reference at rest, √(g r), below which heights count as settled. In a drum this speed is larger."""
+"""Rms speed of the reference at rest, in √(g r), below which heights count as settled. In a drum this speed is larger.
+"""
 
 TOUCHING = 1e-3
 """Gap, in mean radii, up to which two bodies count as in contact. Rigid bodies that touch have a gap of 0."""
@@ -50,11 +51,11 @@ ERRORS = {
 }
 """Name of an error -> its definition and unit. ⟨ ⟩ is the mean over seeds, * marks the reference.
 
-Penetrations count in full, since they should be 0. All other errors are differences from the reference. Energy, height
-and force are those of the whole pile. The force follows from its momentum: M (g + dv / dt), with v against gravity, in
-weights. Its mean at rest is exactly 1. The distribution of forces is the classical characteristic of a granular packing
-(Radjai et al., Phys. Rev. Lett. 77, 1996). By penetration and restlessness users judge an engine (Catto, Solver2D,
-2024).
+Penetrations are errors in themselves, since they should be 0. All other errors are differences from the reference.
+Energy, height and force are those of the whole pile. The force follows from the pile's momentum: M (g + dv / dt), where
+v is the velocity of its centre of mass against gravity. It is divided by the weight, so that its mean at rest is
+exactly 1. The distribution of forces is the classical characteristic of a granular packing (Radjai et al., Phys. Rev.
+Lett. 77, 1996). Users judge an engine by penetration and restlessness (Catto, Solver2D, 2024).
 """
 
 
@@ -69,7 +70,7 @@ class Observation(NamedTuple):
     | speed       | root mean square speed of the circles                                         | (T,)     | u       |
     | penetration | mean, 95th percentile and largest over the contacts                           | (T, 3)   | r       |
     | contacts    | number of pairs whose gap is at most `TOUCHING`, per circle                   | (T,)     | –       |
-    | force       | mean force on the box along gravity between two times; None without gravity   | (T − 1,) | M g     |
+    | force       | mean force on the box along gravity between successive times; None if g = 0   | (T − 1,) | M g     |
     | loads       | share of the λ_n > 0 at rest that are at most LOADS times their mean; or None | (121,)   | –       |
     | interval    | time between two observations                                                 | ()       | r / u   |
     | quantities  | name -> values of a user's quantity, or a sentence on why it has none         | (T, …)   | its own |
@@ -171,7 +172,7 @@ def errors(found: Sequence[Observation], reference: Sequence[Observation]) -> di
     at_rest = slice(-REST, None)
 
     def creep(means):
-        """Return the slope of the straight line through the settled heights, √(g r)."""
+        """Return the slope of the straight line through the settled heights, in √(g r)."""
         return np.polyfit(reference[0].interval * np.arange(REST), means["height"][at_rest], 1)[0]
 
     def share(difference, whole):
@@ -216,9 +217,10 @@ def _of_quantities(found: Sequence[Observation], reference: Sequence[Observation
 def intervals(
     found: Sequence[Observation], reference: Sequence[Observation], *, resamples: int = 400
 ) -> dict[str, tuple[float, float, float] | None]:
-    """Return each of the `errors` with its `interval`: name -> (value, low, high), or None for an unknown error.
+    """Return each error with its confidence interval: name -> (value, low, high), or None for an unknown error.
 
-    Each resampling draws the same seeds for both ensembles. Raises ValueError if the ensembles differ in length.
+    `errors` defines the errors, `interval` the intervals. Each resampling draws the same seeds for both ensembles.
+    Raises ValueError if the ensembles differ in length.
     """
     if len(found) != len(reference):
         raise ValueError(f"found: expected {len(reference)} runs, as the reference has, got {len(found)}")

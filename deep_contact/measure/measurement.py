@@ -1,9 +1,9 @@
 """`measure_trade`: the cost and the errors of settings on a scene, from runs with several seeds.
 
 Every setting runs the scene with every seed. So does a reference, with 20 sweeps of PGS in substeps of at most a
-sixteenth of the longest substep of a preset. For scenes that `stiffness` finds too stiff, the reference has a better
-solver (`settings.reference_of`). Errors are the differences between the runs of a setting and those of the reference
-(`measure.errors`), with intervals over seeds.
+sixteenth of the longest step that a preset uses. For scenes that `stiffness` finds too stiff, the reference has a
+better solver (`settings.reference_of`). Errors are the differences between the runs of a setting and those of the
+reference (`measure.errors`), with intervals over seeds.
 
 Tests: tests/measure/test_trade.py
 """
@@ -70,8 +70,8 @@ def measure_trade(
 
     scene: a state, or a function of a seed that returns a state. A state is copied for each seed, with its coordinates
     shifted by up to 0.001 slops. steps: number of steps of the scene's Δt in each run, at least 20. From 240 steps on,
-    a run has an observation after several steps, and leaves out last steps that do not fill such an interval. seeds:
-    number of seeds, or the seeds themselves.
+    observations are several steps apart, and a run leaves out the last steps if they do not fill such an interval.
+    seeds: number of seeds, or the seeds themselves.
     minutes: time after which no further run begins; the result then has the runs so far. Compiling does not count.
     quantities: name -> a function of a state that returns a number or an array. It is called at each observation: after
     each step, and from 240 steps on at 120 to 179 equal intervals.
@@ -227,7 +227,7 @@ def _digest_of_state(state: State) -> str:
 
 
 def _digest(*parts) -> str:
-    """Return sixteen hexadecimal digits that depend on all given arrays and texts."""
+    """Return a digest of arrays and texts, sixteen hexadecimal digits."""
     sha = hashlib.sha256()
     for part in parts:
         sha.update(part.encode() if isinstance(part, str) else np.ascontiguousarray(part).tobytes())

@@ -1,8 +1,8 @@
 """Other engines on the same scene: Box2D 2.3 (`Box2D`), Chipmunk (`pymunk`) and Box2D v3 (`pyb2d3`).
 
-Tests use them as oracles, benchmarks and studies for comparison. An adapter is built from a `State`: its circles with
-their masses, its box, its segments, gravity, friction and restitution. It has the methods `step(dt, sweeps,
-position_sweeps)`, `run` for many steps, `bodies()` and `contact_count()`.
+Tests use these engines as oracles. Benchmarks and studies use them for comparison. An adapter is built from a `State`:
+its circles with their masses, its box, its segments, gravity, friction and restitution. It has the methods `step(dt,
+sweeps, position_sweeps)`, `run` for many steps, `bodies()` and `contact_count()`.
 
 Slop, thresholds and largest speeds are those of the engines, which are absolute lengths and speeds. Only Chipmunk's
 slop and the radius of the walls are set by the adapters, and follow the scene (`State.scales`). Sleeping and continuous
@@ -75,7 +75,7 @@ class _Peer:
     def contact_count(self) -> int:
         """Return the number of contacts at the present positions, with gaps of at most `reach`.
 
-        Engines report contacts with such gaps.
+        `reach` is the largest gap at which the engine reports a contact.
         """
         state, bodies, near = self._state, self.bodies(), 0.5 * self.reach
         scales = state.scales._replace(wall_skin=state.scales.wall_skin + near)
@@ -87,7 +87,7 @@ class Box2D23(_Peer):
     """Box2D 2.3 through `pybox2d` 2.3.10, the engine of the thesis.
 
     The box is one loop shape, as in the thesis. Its edges have a skin of 0.01 m. Each segment is an edge shape of its
-    own, so that a circle that rolls over a joint of two segments bumps.
+    own, so that circles bump when they roll over the joint of two segments.
     """
 
     name, package = "Box2D 2.3", "Box2D"

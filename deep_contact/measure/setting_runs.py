@@ -36,7 +36,10 @@ ABSOLUTE = ("penetration", "penetration_95", "penetration_max")
 
 
 def rivals(scene: State) -> tuple[list, list[str]]:
-    """Return (settings of the other engines that can run the scene, sentences on why the rest of them cannot)."""
+    """Return (settings, sentences): settings of the other engines that can run the scene.
+
+    The sentences say why some engines cannot run it.
+    """
     settings, why = [], []
     for engine in peers.ENGINES:
         budgets = ((1, 4), (1, 10), (2, 4), (2, 10), (4, 2), (4, 4))
@@ -93,8 +96,8 @@ def states_of(start: State, setting: Mapping, frames: int, interval: float) -> I
 def timed(start: State, setting: Mapping, seconds: float) -> float:
     """Return the thread time, s, of one call that advances a run by `seconds`, s, of the scene's time.
 
-    For a short run it is the least of several timings. Other programs disturb thread time least. The Python wrapper of
-    another engine counts, since its users pay for it. The destruction of its world does not count.
+    For a short run it is the least of several timings. Other programs disturb thread time less than wall time. The
+    Python wrapper of another engine counts, since its users pay for it. The destruction of its world does not count.
     """
     took: list[float] = []
     while len(took) < 5 and sum(took) < LONG_ENOUGH:

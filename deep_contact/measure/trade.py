@@ -48,8 +48,8 @@ class Trade:
     rows: for each setting {"name", "setting", "group": method or engine, "seeds": number of seeds, "us": time of a step
     of Δt, µs, or None, "errors": name -> (value, low, high) or None}; the errors of `ERRORS` are in their units, those
     of quantities are relative.
-    noise: name of an error -> its size by the choice of seeds alone. converged: name of an error -> its change by half
-    the reference's step. notes: sentences on the result. by_preset: preset -> name of the setting that the study
+    noise: name of an error -> its size by the choice of seeds alone. converged: name of an error -> its change if the
+    reference's step is halved. notes: sentences on the result. by_preset: preset -> name of the setting that the study
     chooses for it. reference: the setting with small steps, against which errors are measured; it is not the preset of
     that name. half: the reference with half its step.
     """
@@ -182,9 +182,10 @@ class Trade:
         return html.shown(self._title(), [*rows, *((note,) for note in self.notes)], header=header)
 
     def plot(self, *names: str) -> Figure:
-        """Return a figure of errors over the time of a step, with settings, their front, other engines and tolerances.
+        """Return a figure of errors against the time of a step: settings, their front, other engines and tolerances.
 
-        names: names of errors, a panel each; by default the energy, the deepest penetration and the user's quantities.
+        A setting is on the front if its error is smaller than those of all cheaper settings. names: names of errors, a
+        panel each; by default the energy, the deepest penetration and the user's quantities.
         Raises ValueError for an error that no setting has.
         """
         known = dict.fromkeys(name for row in self.rows for name, error in row["errors"].items() if error)
@@ -246,10 +247,10 @@ def _check_trade(trade: Trade) -> None:
 
 
 def draw_plane(ax, rows: Sequence[Mapping], error: str, *, names: bool = True) -> None:
-    """Draw errors with intervals over the cost of settings. Ours are blue with their front, other engines are grey.
+    """Draw errors with intervals against the cost of settings. Settings of this package are blue, other engines grey.
 
-    Dotted lines are the tolerances of presets. rows: rows of a `Trade`. error: name of the error. names: whether the
-    presets' names stand at the right ends of the lines.
+    A black line is the front of the blue settings. Dotted lines are the tolerances of presets. rows: rows of a `Trade`.
+    error: name of the error. names: whether the presets' names stand at the right ends of the dotted lines.
     """
     ours = []
     for row in rows:

@@ -87,7 +87,7 @@ def _some_of_many(options: RunOptions, numbered: list[tuple[int, State]]) -> lis
 def _one_of_many(
     options: RunOptions, numbered: tuple[int, State], stopped: threading.Event | None = None
 ) -> Simulation:
-    """Return the run of one numbered state (`_simulate`). Messages of errors have the number."""
+    """Return the run of one numbered state (`_simulate`). Error messages name the number."""
     number, state = numbered
     try:
         return _simulate(state, options, stopped)

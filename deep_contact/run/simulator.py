@@ -172,8 +172,8 @@ class Simulator:
     def _set_velocities(self, segment_velocities) -> bool:
         """Set the velocities of the segments in place, if possible. This is faster than `_change`.
 
-        It is possible if the same segments move as before. If a preset chose the solver, also no segment may be faster
-        than at the time of this choice. Returns whether the velocities were set.
+        It is possible if the same segments move as before. If a preset chose the solver, there is a second condition:
+        no segment may be faster than at the time of this choice. Returns whether the velocities were set.
         """
         actuation, world = self._inputs.actuation, self._scene.world
         most = LIMITS["world.segment_velocities"][1]
@@ -374,10 +374,11 @@ class Simulator:
         return done
 
     def _start_from_python(self, contacts: Contacts) -> tuple[Contacts, StepProblem | None]:
-        """Return the contacts with the impulses of a start in Python, and the contact problem that the start has built,
-        or None.
+        """Return (contacts, problem): the contacts with the impulses of a start in Python, and the contact problem or
+        None.
 
-        If the push is a function, it is called here, and its forces replace those of the last step.
+        The contact problem is returned if the start has built it. If the push is a function, it is called here, and its
+        forces replace those of the last step.
         """
         push, solver, problem = self._options.push, self._scene.solver, None
         if callable(push):
@@ -393,7 +394,7 @@ class Simulator:
 
 
 class _Now(NamedTuple):
-    """Contacts, number of steps, time, s, and `State.solved` of a `Simulator` at one time.
+    """Contacts, number of steps, time (s) and `State.solved` of a `Simulator` at one time.
 
     A step replaces them by one assignment, so that an interrupt finds the values before the step or after it.
     """

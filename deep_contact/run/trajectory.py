@@ -71,7 +71,10 @@ class Trajectory:
         return cls(pack_simulation(states, work=work))
 
     def save(self, path) -> None:
-        """Write the run to an HDF5 file, without a partial file on an error. Raises OSError if this is impossible."""
+        """Write the run to an HDF5 file. On an error there is no partial file.
+
+        Raises OSError if the file cannot be written.
+        """
         from deep_contact.io.files import write_bytes
         from deep_contact.io.simulation_h5 import simulation_file
 

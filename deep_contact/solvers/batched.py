@@ -59,9 +59,10 @@ BatchSettings = namedtuple("BatchSettings", ["tolerance"])
 
 @njit(cache=True, fastmath=CONTRACT)
 def sweep_tiles(tiles, first, last, friction):
-    """Do a sweep as `rows.sweep` over the tiles from `first` to before `last`, in place. Returns θ, N·s.
+    """Do a sweep of Projected Gauss-Seidel over the tiles from `first` to before `last`, in place. Returns θ, N·s.
 
-    tiles: `Tiles`. friction: Coulomb's μ. θ is the largest change of an impulse in the sweep.
+    It is `rows.sweep` for eight contacts at a time. tiles: `Tiles`. friction: Coulomb's μ. θ is the largest change of
+    an impulse.
     """
     body, data, impulse, solver_bodies = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies
     mu, none = spread(friction), spread(0.0)
@@ -145,7 +146,8 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
 
 @njit(cache=True, error_model="numpy")
 def correct_positions_in_batches(plan, tiles, bodies, scales, sweeps):
-    """Correct positions as `position_correction.correct_positions`, but over the tiles of a plan. Bodies move in place.
+    """Correct positions over the tiles of a plan, as `position_correction.correct_positions` does. Bodies move in
+    place.
 
     sweeps: largest number of sweeps.
     """
@@ -164,8 +166,8 @@ class _BatchWorkspaceType(StructureType):
 class BatchWorkspace(Structure):
     """Workspace that each step of a run passes to the next step. A step replaces an array that is too small.
 
-    plan: `BatchPlan`. tiles: `Tiles`. solved: `Contacts` of the last solved substep, which the plan fits. contacts:
-    `Contacts` of the next substep. memory: `StepMemory`. pair_impulses: `StepLog.pair_impulses`.
+    plan: `BatchPlan`. tiles: `Tiles`. solved: `Contacts` of the last solved substep, for which the plan was made.
+    contacts: `Contacts` of the next substep. memory: `StepMemory`. pair_impulses: `StepLog.pair_impulses`.
     """
 
 
@@ -183,7 +185,7 @@ def make_batch_workspace(contacts, setup):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance_in_batches(setup, contacts, workspace, log, actuation):
-    """Do steps as `algorithm.advance`, with the solver `BatchedPGS`. Bodies move in place.
+    """Do steps as `algorithm.advance` does, with the solver `BatchedPGS`. Bodies move in place.
 
     setup: `StepSetup`. contacts: `Contacts` at the start. workspace: `BatchWorkspace`, changed in place and passed to
     the next call. log: `StepLog`, filled in place. actuation: `Actuation` of the steps, or None. Returns the contacts
@@ -218,7 +220,7 @@ def advance_in_batches(setup, contacts, workspace, log, actuation):
 
 @njit(inline="always")
 def do_substep_in_batches(substep, options, workspace, buffer, log, k, actuation):
-    """Do a substep of the k-th step as `algorithm.do_substep`, over batches of contacts.
+    """Do a substep of the k-th step as `algorithm.do_substep` does, but over batches of contacts.
 
     It computes velocities, positions, and the contacts of the next substep. substep: `StepInput`. options:
     `StepOptions`. workspace: `BatchWorkspace`, changed in place. buffer: `Contacts`, in whose arrays the next contacts

@@ -8,9 +8,9 @@ The list of contacts is divided into blocks of `BLOCK` contacts, and the contact
 The contacts of one colour in a block are a batch. Blocks are relaxed phase by phase, and the blocks of a phase share no
 circle. This order is part of the result: with more than two blocks, the order of the list gives other bits.
 
-A batch is stored as tiles of eight contacts. The unused lanes of its last tile are filled with contacts of the idle
-body, which has no inverse mass, with itself. Each block has five bodies of its own besides the circles: the four walls
-and the idle body.
+A batch is stored as tiles of eight contacts. In each unused lane of its last tile, the idle body touches itself. The
+idle body has no inverse mass, so that such a contact changes nothing. Each block has five bodies of its own besides the
+circles: the four walls and the idle body.
 
 Tests: tests/solvers/test_batched.py
 """
@@ -103,7 +103,7 @@ class Tiles(NamedTuple):
 
 @njit(cache=True)
 def make_plan(n, capacity):
-    """Return buffers for a plan of `capacity` contacts of n circles. All its counts are −1, which fit no contacts."""
+    """Return buffers for a plan of `capacity` contacts of n circles. Its counts are −1, so that it fits no contacts."""
     blocks = capacity // BLOCK + 1
     whole = np.int64
     return BatchPlan(
@@ -152,9 +152,9 @@ def plan_batches(body_a, body_b, n, plan):
 
 @njit(cache=True)
 def is_plan_of(plan, n, contacts, planned):
-    """Return whether a plan for the contacts `planned` also fits `contacts`, whose pairs may differ.
+    """Return whether a plan that was made for the contacts `planned` also fits `contacts`.
 
-    It fits if the pairs are the same and in the same order, and if n is the number of circles of the plan.
+    It fits if both have the same pairs in the same order, and if n is the number of circles of the plan.
     """
     m = contacts.body_a.shape[0]
     if plan.count[CIRCLES] != n or plan.count[CONTACTS] != m:
@@ -255,7 +255,10 @@ def sort_phases(blocks, plan):
 
 @njit(cache=True)
 def with_room(plan, tiles):
-    """Return the tiles, or larger tiles if the plan needs them. All numbers of walls and idle bodies are set to 0."""
+    """Return the tiles, or larger tiles if the plan needs them.
+
+    Velocities and inverse masses of walls and idle bodies are set to 0.
+    """
     n, rows, last = plan.count[CIRCLES], plan.count[ROWS], plan.count[TILES]
     if last > tiles.body.shape[0] or rows > tiles.solver_bodies.shape[0]:
         tiles = make_tiles(n + (rows - n) * 3 // 2 + 5, last + last // 2)
@@ -301,7 +304,7 @@ def place_block(step, contacts, plan, tiles, k, actuation):
 
 @njit(cache=True)
 def place_rows(rows, plan, tiles, k):
-    """Copy the row data of the contacts of block k to their places in the tiles. They replace the data of `fill_rows`.
+    """Copy the row data of the contacts of block k to their places in the tiles. `fill_rows` is then not needed.
 
     rows: `Rows` that are already built.
     """

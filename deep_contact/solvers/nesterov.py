@@ -21,26 +21,26 @@ FIRST_MOMENTUM = 0.9
 """Upper bound of the momentum β at the first sweep."""
 
 MAX_MOMENTUM = 0.99
-"""Largest value of this bound."""
+"""Largest value of the upper bound of β."""
 
 MOMENTUM_WINDOW = 5
-"""Number of sweeps between two adaptations of the bound."""
+"""Number of sweeps between two adaptations of the upper bound of β."""
 
 SUDDEN_GROWTH = 1.2
-"""Ratio of the squared change of the impulses in a sweep to that in the sweep before, above which the bound falls at
-once."""
+"""Ratio of the squared change of the impulses in a sweep to that in the sweep before, above which the upper bound of β
+is lowered at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NesterovPGS(SolverOptions):
-    """Projected Gauss-Seidel with Nesterov's momentum (Soviet Mathematics Doklady 27, 1983), which has an upper bound.
+    """Projected Gauss-Seidel with Nesterov's momentum (Soviet Mathematics Doklady 27, 1983) and an upper bound on it.
 
     The momentum restarts by the gradient scheme of O'Donoghue and Candès (Foundations of Computational Mathematics 15,
     2015). The options are those of every solver (`SolverOptions`).
 
-    Weakness: the bound follows from the last sweeps, so it adapts late when contacts open or slip, and the error may
-    then grow for some sweeps. Fewer than ten sweeps gain little. With friction convergence is not proven, and θ does
-    not fall with every sweep.
+    Weakness: the bound adapts to the last sweeps, so it reacts late when contacts open or slip, and the error may then
+    grow for some sweeps. Fewer than ten sweeps gain little. With friction convergence is not proven, and θ does not
+    fall with every sweep.
     """
 
 
@@ -51,8 +51,9 @@ NesterovSettings = namedtuple("NesterovSettings", ["tolerance"])
 def relax_nesterov(settings, rows, friction, solver_bodies, theta, workspace):
     """Do sweeps with Nesterov's momentum: each sweep starts from λ + β (λ − λ of the sweep before).
 
-    β = (t − 1) / t⁺ with t⁺ = (1 + √(1 + 4 t²)) / 2, from t = 1. If the change of the impulses in a sweep points
-    against their change since the sweep before, t restarts at 1 (gradient scheme of O'Donoghue and Candès 2015).
+    β = (t − 1) / t⁺ with t⁺ = (1 + √(1 + 4 t²)) / 2, from t = 1. t restarts at 1 if the change of λ by the sweep and
+    the change of λ since the sweep before have a negative scalar product (gradient scheme of O'Donoghue and Candès
+    2015).
 
     With friction this rule alone makes the impulses cycle around the solution. β therefore has an upper bound. 1 −
     bound doubles when the sum of the squared changes grows from one window of sweeps to the next, or suddenly in one

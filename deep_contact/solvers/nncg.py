@@ -34,9 +34,9 @@ NNCGSettings = namedtuple("NNCGSettings", ["tolerance"])
 
 
 class Directions(NamedTuple):
-    """Workspace of `relax_nncg` and `relax_nesterov`: flat arrays over the numbers of rows and of solver bodies.
+    """Workspace of `relax_nncg` and `relax_nesterov`: flat arrays with the sizes of the impulses and the solver bodies.
 
-    `last_impulse` and `last_velocity` have the values after the last sweep, `along` and `velocity_along` the
+    `last_impulse` and `last_velocity` have the values after the last sweep. `along` and `velocity_along` are the
     directions.
     """
 

@@ -3,7 +3,7 @@
 A pile whose gravity is switched off still has the impulses that carried its weight. A few sweeps do not remove them,
 and the rest becomes velocity. A state therefore stores a digest of the load for which its impulses were solved
 (`State.load`). If the load has changed, the impulses are solved anew, with many sweeps, and the next step starts from
-them. A run whose load never changes keeps its bits.
+them. In a run whose load never changes, all bits of the result stay the same.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from deep_contact.stepping.rows import best_share, projected
 from deep_contact.stepping.substeps import shift_flights
 
 SWEEPS = 500, 2000
-"""Smallest and largest number of sweeps of an accurate solve. Between these limits it is the number of circles. With
-few sweeps a pile would fall into itself."""
+"""Smallest and largest number of sweeps of an accurate solve. Between these limits it is the number of circles. After
+fewer sweeps the circles of a pile would sink into each other."""
 
 CLOSE = 10.0
-"""Tolerance of an accurate solve after a change of the load, over the default tolerance of solvers."""
+"""Tolerance of an accurate solve after a change of the load, as a multiple of the default tolerance of solvers."""
 
 KICK = 0.001
 """Largest increase of the top speed, in √(g r), up to which the carried impulses are used in spite of a changed load.
@@ -42,10 +42,11 @@ RELAXED = 2000
 """Largest number of iterations of the convex relaxation (`impulses_at_rest`). It is used if circles hardly move."""
 
 ENDS = 1e-4
-"""Rms speed at which the iterations of the relaxation end, over g Δt, the speed that gravity adds in a step."""
+"""Rms speed at which the iterations of the relaxation end, as a multiple of g Δt, the speed that gravity adds in a
+step."""
 
 RESTS = 0.02
-"""Largest rms speed after the relaxation, over g Δt, at which a pile counts as being at rest."""
+"""Largest rms speed after the relaxation at which a pile counts as being at rest, as a multiple of g Δt."""
 
 
 def load_of(state: State) -> tuple[int, int]:
@@ -151,7 +152,7 @@ def _starting(state: StateWithContacts, normal, tangent) -> StateWithContacts:
 
 
 def with_time_step(state: State, dt: float) -> State:
-    """Return the state with another Δt, s. The impulses carried from the last step are scaled by the ratio of both Δt.
+    """Return the state with another Δt, s. The impulses carried from the last step are scaled by new Δt / old Δt.
 
     Without the scaling a change of Δt kicks a pile at rest, whose impulses are m g Δt (Box2D 2.3 scales by `dtRatio`).
     If e > 0, the velocities of circles in flight are corrected, so that the circles keep their energy

@@ -99,9 +99,9 @@ def relax_cones(rows, friction, v, iterations, speed):
 def approach(rows, friction, v, step, trial, old):
     """Move the trial impulses against the gradient J v, and project them onto the cones, in place.
 
-    Both rows of a contact are scaled by the effective mass of its normal row, so that its cone keeps its shape. step:
-    length of the step in the scaled impulses. old: impulses after the iteration before. Returns the product of the
-    gradient and the change from the old impulses, and the square of the step in the scaled impulses.
+    Both rows of a contact are scaled by the effective mass of its normal row, so that the friction cone keeps its
+    shape. step: length of the step in the scaled impulses. old: impulses after the iteration before. Returns the
+    product of the gradient and the change from the old impulses, and the square of the step in the scaled impulses.
     """
     body, data, along, square = rows.body, rows.data, 0.0, 0.0
     for i in range(body.shape[0]):

@@ -1,5 +1,4 @@
-"""The data of a scene: `World` (box, segments and constants), and `State`, which holds a world, `Bodies` and
-`Contacts`.
+"""The data of a scene: `World` (box, segments, constants), and `State`, which holds a world, `Bodies` and `Contacts`.
 
 Conventions, said once, here:
 

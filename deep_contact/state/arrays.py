@@ -148,7 +148,10 @@ class Contacts(NamedTuple):
 
     @property
     def have_past(self) -> bool:
-        """Whether any starting impulse is not 0, as after an earlier step. Contacts of positions alone start from 0."""
+        """Whether any starting impulse differs from 0.
+
+        It does after an earlier step. It does not if the contacts follow from positions alone.
+        """
         return bool(self.normal_start.any() or self.tangent_start.any())
 
     def table(self) -> dict[str, np.ndarray]:

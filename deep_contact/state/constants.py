@@ -9,8 +9,8 @@ VERSION = "0.1.0"
 """Version of the package."""
 
 LINEAR_SLOP = 0.005
-"""Penetration up to which position correction leaves a contact as it is, m. Without it the contacts of a resting pile
-would open."""
+"""Penetration up to which position correction leaves a contact as it is, m. Without this slop the contacts of a resting
+pile would open."""
 
 WALL_SKIN = 0.01
 """Distance from the surface of a wall at which a circle touches the wall, m (`b2_polygonRadius` of Box2D's edge
@@ -19,8 +19,8 @@ shapes)."""
 NEARLY = 1.0 + 2e-5
 """Factor on the sum of two radii: two bodies touch if their distance is at most the product. The radius of a wall or a
 segment is its skin. For circles of 1 m this allows a gap of 4e-5 m, 1 / 125 of the slop. Without the factor, circles
-that touch exactly would separate by the velocity errors that few sweeps leave. A contact that opens loses its impulses.
-"""
+that touch exactly would separate because of the velocity errors that few sweeps leave. A contact that opens loses its
+impulses."""
 
 BAUMGARTE = 0.2
 """Share of the penetration beyond the slop that one sweep of position correction removes."""

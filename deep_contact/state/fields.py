@@ -146,7 +146,7 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
 
 
 def contact_faults(fields: Mapping, n: int, segments: int) -> Iterator[tuple[str, np.ndarray, str]]:
-    """Yield (name of a field, flags of the contacts that break its rule, (m,), the rule in words).
+    """Yield the name of a field, flags of the contacts that break its rule, (m,), and the rule in words.
 
     fields: arrays of `Contacts` by name, (m, …) each. n: number of circles. segments: number of segments of the world.
     A negative normal impulse, which would be tensile, breaks a rule. Starting impulses have no rule, since the solver
@@ -167,7 +167,7 @@ def check_kept_contacts(before: State, after: State) -> None:
     hint = "; contacts=None lets them be found, `State.with_bodies` keeps the impulses"
     n, contacts = before.bodies.count, before.contacts
     mass = after.bodies.mass if isinstance(after.bodies, Bodies) else before.bodies.mass
-    circles = len(mass) if isinstance(mass, (list, tuple)) else np.size(mass)  # not `np.size` of a ragged list
+    circles = len(mass) if isinstance(mass, (list, tuple)) else np.size(mass)  # `np.size` fails on ragged lists
     if circles != n and contacts.count:
         raise ValueError(f"bodies: expected {n} circles, as the contacts have, got {circles}{hint}")
     old, new = (getattr(state.world, "segments", ()) for state in (before, after))
@@ -181,7 +181,7 @@ def warn_of_jumps(before: World, after: World) -> bool:
 
     Returns whether there is such a segment. Worlds with different numbers of segments are not compared.
     """
-    count = len(after.segments) if len(before.segments) == len(after.segments) else 0  # otherwise not compared
+    count = len(after.segments) if len(before.segments) == len(after.segments) else 0  # unequal numbers: no comparison
     for k in range(count):
         is_still = not after.segment_velocities or not any(after.segment_velocities[k])
         if before.segments[k] != after.segments[k] and is_still:
@@ -228,11 +228,10 @@ def is_unit(normal: np.ndarray) -> np.ndarray:
 
 
 def beyond_limits(**parts) -> Iterator[str]:
-    """Yield a message for each quantity outside of `LIMITS`: its name, the index of the value, the limits, and the
-    value.
+    """Yield a message for each quantity outside of `LIMITS`, with its name, its value and its limits.
 
-    parts: fields of a state by name, such as `bodies` and `dt`. Quantities of fields that are missing or None are
-    skipped.
+    If the quantity is an array, the message has the index of the first such value. parts: fields of a state by name,
+    such as `bodies` and `dt`. Quantities of fields that are missing or None are skipped.
     """
     for name, (low, high, unit) in LIMITS.items():
         owner, _, field = name.partition(".")
@@ -289,7 +288,7 @@ def _checked_scales(scales) -> ContactScales | None:
 
 
 def _length(name: str, values) -> int:
-    """Return the length of a one-dimensional array. Raises ValueError for an array of other dimensions."""
+    """Return the length of an array of one dimension. Raises ValueError for any other number of dimensions."""
     try:
         shape = np.shape(values)
     except ValueError:  # rows of unequal length

@@ -6,8 +6,8 @@ multiplied by s, times by √s and masses by s², the run stays the same in the 
 of four. At r̄ = 1 m, g = 9.81 m/s² and Δt = 0.01 s, as in the thesis's scene, the scales are the absolute values of
 Box2D 2.3 (`BOX2D`).
 
-Without gravity a scene has no speed of its own. Contacts then bounce at any approach speed, only circles exactly at
-rest fall asleep, and the sleep time is a number of steps.
+Without gravity a scene has no speed of its own. If e > 0, contacts then bounce at any approach speed. Only circles
+exactly at rest fall asleep, after 50 steps.
 
 Tests: tests/behaviour/test_scales.py
 """
@@ -38,7 +38,7 @@ class ContactScales(NamedTuple):
     |-----------------------|-----------------------------------------------------------------------|-------|
     | slop                  | penetration up to which position correction leaves a contact as it is | m     |
     | wall_skin             | distance from the surface of a wall at which a circle touches it      | m     |
-    | max_correction        | largest push of one contact in one sweep of position correction       | m     |
+    | max_correction        | largest displacement by one contact in a sweep of position correction | m     |
     | max_translation       | largest displacement of a body in one step (`contact_scales`)         | m     |
     | restitution_threshold | speed s: contacts that approach slower than (1 − e²) s do not bounce  | m/s   |
     | sleep_speed           | largest speed of a circle that counts as still                        | m/s   |
@@ -98,9 +98,9 @@ def contact_scales(radius, gravity, dt: float, fixed: ContactScales | None = Non
 def theta_tolerance(mass, radius, gravity, dt: float) -> float:
     """Return the default tolerance of a solver, the θ at which sweeps end, N·s.
 
-    It is the 6e-5 N·s of the thesis authors' code times a factor. With gravity the factor is m̄ g Δt over its value in
-    the thesis's scene, π kg · 9.81 m/s² · 0.01 s. Without gravity it is m̄ r̄ / Δt over its value in the thesis's
-    scene, π kg · 1 m / 0.01 s. m̄ and r̄ are the mean mass and the mean radius.
+    It is the 6e-5 N·s of the thesis authors' code times a factor. With gravity the factor is m̄ g Δt divided by its
+    value in the thesis's scene, π kg · 9.81 m/s² · 0.01 s. Without gravity it is m̄ r̄ / Δt divided by its value in the
+    thesis's scene, π kg · 1 m / 0.01 s. m̄ and r̄ are the mean mass and the mean radius.
 
     mass: (n,), kg. radius: (n,), m. gravity: (g_x, g_y), m/s². dt: time step, s.
     """

@@ -23,7 +23,7 @@ S, T = TypeVar("S", bound="State"), TypeVar("T")
 @suggesting
 @dataclass(frozen=True, kw_only=True, repr=False)
 class State:
-    """A simulation at one time: the bodies before a step, and the contacts at their positions.
+    """The state of a simulation at one time: the bodies before a step, and the contacts at their positions.
 
     A scene is a state at time 0. `contacts` is None until collision detection has run. `solver` has the solver options
     of the run (`solvers`), or is None.
@@ -64,7 +64,7 @@ class State:
 
     @property
     def holds_solution(self) -> bool:
-        """Whether the contacts solve one contact problem, as after a step without substeps and restitution."""
+        """Whether the impulses solve a single contact problem, as after a step without substeps and restitution."""
         is_divided = self.solver is not None and self.solver.substeps * self.solver.motion_parts > 1
         return self.solved and self.world.restitution == 0.0 and not is_divided
 

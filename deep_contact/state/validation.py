@@ -150,8 +150,8 @@ F = TypeVar("F", bound=Callable)
 def suggesting(function: F) -> F:
     """Decorate a function or class so that the TypeError of a wrong call has a suggestion.
 
-    For an unknown keyword the suggestion is the most similar keyword. For too many positional values it names the first
-    options, which are keyword-only.
+    For an unknown keyword the suggestion is the most similar keyword. For too many positional values the suggestion
+    names the first options, which are keyword-only.
     """
     if isinstance(function, type):
         function.__init__ = suggesting(function.__init__)  # type: ignore[misc]
@@ -191,9 +191,10 @@ def flag(name: str, value) -> bool:
 
 
 def one_of(name: str, value, known: Collection):
-    """Return `value` if it is in `known`, a sequence, or a table whose keys are compared.
+    """Return `value` if it is one of `known`.
 
-    Raises ValueError otherwise. The message suggests the most similar name.
+    known: sequence of the choices, or table whose keys are the choices. Raises ValueError on another value. The message
+    suggests the most similar choice.
     """
     try:
         if value in known:
