@@ -1,6 +1,6 @@
 """`Simulation`: the result of a run.
 
-Tests: tests/analysis/test_contact_forces.py, tests/run/test_one_scene.py
+Tests: tests/analysis/test_contact_forces.py, tests/stepping/test_sleeping.py
 """
 
 from __future__ import annotations
