@@ -1,1 +1,1 @@
-"""How accurate: presets, and what they have to know of a scene."""
+"""Presets of accuracy, and the numbers of a scene by which they choose a solver."""

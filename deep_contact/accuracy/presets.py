@@ -1,15 +1,15 @@
 """Presets of accuracy, and the cheapest setting for each: `simulate(accuracy=…)` and `recommend`.
 
-A preset is a table of tolerances on the errors of a run (`errors.ERRORS`). The package has a study of settings: a
-method, a number of sweeps and a time step each. The study has their errors and times on kinds of scenes
-(`studies.runs`); `scripts/run_tradeoff.py --install` writes it. A preset takes the cheapest setting that keeps its
-tolerances on scenes like the user's.
+A preset is a table of tolerances on the errors of a run (`errors.ERRORS`). A setting is a method with a number of
+sweeps and a time step. The package has a study of settings, with their measured errors and times on kinds of scenes
+(`studies.runs`). `scripts/run_tradeoff.py --install` writes the study. A preset chooses the cheapest setting whose
+errors are within its tolerances on scenes like the user's.
 
-A setting's time step is meant for circles of r = 1 m under g = 9.81 m/s². For other circles it is scaled by √(r / g). A
-longer step of the user's is divided into substeps. Most settings divide it further if a circle is about to hit
-something (`stepping.substeps`), and have a slop of their own.
+The time step of a setting is meant for circles of r = 1 m under g = 9.81 m/s². For other circles it is scaled by √(r /
+g). If the user's time step is longer, it is divided into substeps. Most settings divide it further if a circle is about
+to hit something (`stepping.substeps`), and have a slop of their own.
 
-A scene that a few sweeps cannot solve gets a solver of its own (`stiffness`).
+If a few sweeps cannot solve a scene, it gets another solver (`stiffness`).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Accuracy = Literal["preview", "fast", "balanced", "accurate", "reference"]
 
 
 class MeasuredAccuracy(Protocol):
-    """A measurement on the scene itself, such as a `trade.Trade`, which decides in place of the study."""
+    """A measurement on the user's own scene, such as a `trade.Trade`. It chooses the solver in place of the study."""
 
     def decide(self, scene: State) -> Decision: ...
 
@@ -58,59 +58,66 @@ PRESETS: dict[str, dict[str, float]] = {
     "reference": {"energy": 4, "height": 2, "creep": 2, "penetration": 0.12, "penetration_95": 0.4,
                   "penetration_max": 3, "restlessness": 5, "contacts": 0.2, "forces": 12, "impact": 20},
 }  # fmt: skip
-"""Preset -> tolerance of each error: in %, contacts in contacts per circle.
+"""Name of a preset -> tolerance of each error, in %; "contacts" is in contacts per circle.
 
-"preview" tolerates the penetration in an impact with a step of 10 ms, which no number of sweeps changes. Up to
-"accurate" the tolerance of forces is loose because of frictionless piles, whose gaps the slop closes.
+"preview" tolerates the penetration in an impact at a step of 10 ms, which does not depend on the number of sweeps. From
+"preview" to "accurate" the tolerance of forces is loose, because in frictionless piles the slop closes gaps.
 """
 
 MARGIN = 0.85
-"""Largest share of its tolerance that an error of the study should have: the study has few seeds of a few scenes."""
+"""Share of the tolerances within which the errors of a setting should be in the study. The study has few seeds of a few
+scenes, so that its errors are uncertain."""
 
 KNOWN = 1.0
-"""Largest error, %, of a setting in motions with known answers (`run_tradeoff.py`). No preset takes one with more."""
+"""Largest error, %, that a setting may have in motions with known answers (`run_tradeoff.py`). Presets use no setting
+with a larger error."""
 
 _NEARLY = 1.05
-"""Ratio of a step to the study's step up to which it is not divided: the mean of random radii around 1 m is not exactly
-1 m."""
+"""Largest ratio of the user's step to a setting's step at which the user's step is not divided. It exceeds 1 because
+the mean of random radii around 1 m is not exactly 1 m."""
 
 MOST_SUBSTEPS = 1024
 """Largest number of substeps into which a preset divides a step."""
 
 FASTEST = 10.0
-"""Largest speed of circles, in √(g r), for which the study's time steps are meant; faster circles get shorter steps."""
+"""Largest speed of circles, in √(g r), for which the time steps of the study are meant. Faster circles get shorter
+steps."""
 
 DENSITIES = {"densities": (2, 10, 100), "heavy on light": (10, 100), "light on heavy": (10,)}
-"""Ratios of two densities in the study's scenes, mixed and in layers."""
+"""Kind of the study's scenes with two densities -> ratios of the densities. In "densities" dense and light circles are
+mixed, in the other kinds they lie in layers."""
 
 LAYERED = 0.25
-"""Difference of the mean heights of dense and light circles, in the height of all, from which they count as layers."""
+"""Least difference between the mean heights of dense and light circles at which they count as layers, as a share of the
+height of all circles."""
 
 SPREAD = 2.5
-"""Least height of a dam that breaks, over the height of its circles if they lay across the whole width of the box."""
+"""Least height of a dam that breaks, over the height that its circles would have if they lay across the whole width of
+the box."""
 
 DENSE = 0.5
-"""Least share of the rectangle around it that the circles of a dam cover."""
+"""Least share of its bounding rectangle that the circles of a dam cover."""
 
 MEASURING = 600 * 500
-"""Time to measure a trade of 600 steps (six seeds, a reference, half its step), in steps of a preset."""
+"""Time that `measure_trade` takes for 600 steps, as a multiple of the time of one step of a preset. It is for six
+seeds, a reference, and the reference with half its step."""
 
 
 class PresetWarning(UserWarning):
-    """Warning that a preset cannot keep its tolerances in a scene: it names the quantity, and what to do."""
+    """Warning that a preset may not keep its tolerances in a scene. Its text names the quantity, and what to do."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recommendation:
     """A solver and a start for the runs of a scene, with their cost and errors. `print` shows all of it.
 
-    accuracy: name of the preset. solver: options of `solvers`, substeps included. warm_start: name of the
-    start. us: wall time of a step of the scene's Δt, μs, the mean over a run, on the processor `cpu`.
-    errors: name of an error -> its largest value over the study's kinds of scenes like this one, at the sizes next to
-    its own. tolerances: name of an error -> tolerance of the preset. reached: whether all errors are within the
-    tolerances; if not, no setting keeps them, and this is the nearest. outside: sentences on properties of the scene
-    that the study did not measure; empty if there are none. cheaper, better: settings of the presets next to this one,
-    and their costs; empty if there is none.
+    accuracy: name of the preset. solver: options of `solvers`, substeps included. warm_start: name of the start. us:
+    wall time of a step of the scene's Δt, μs, the mean over a run, on the processor `cpu`. errors: name of an error ->
+    its largest value over the study's kinds of scenes like this scene, at the two sizes next to its own. tolerances:
+    name of an error -> tolerance of the preset. reached: whether all errors are within the tolerances; if not, no
+    setting is within them, and this setting comes nearest. outside: sentences on properties of the scene that the study
+    did not measure; empty if there are none. cheaper, better: the setting of the next looser and of the next tighter
+    preset, with its cost; empty if there is no such preset.
     """
 
     accuracy: str
@@ -128,7 +135,7 @@ class Recommendation:
     better: str = ""
 
     def _rows(self) -> Iterator[tuple[str, str]]:
-        """(Name, text) of each line that `print` shows; the first line is the title."""
+        """Yield (name, text) of each line that `print` shows. The first line is the title."""
         yield self.accuracy, f"{describe(self.solver)} from {self.warm_start}"
         yield "cost", f"{self.us:,.0f} μs a step of {self.dt:g} s, {self.n_bodies:,} circles; {self.cpu}"
         if not self.reached:
@@ -152,10 +159,10 @@ class Recommendation:
 
 @suggesting
 def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: float | None = None) -> Recommendation:
-    """The cheapest setting that keeps the tolerances of a preset, or the most accurate one that a budget allows.
+    """Return the cheapest setting within the tolerances of a preset, or the most accurate setting within a budget.
 
-    accuracy: a name of `PRESETS`; by default "fast". budget_ms: wall time of a step of the scene's Δt, ms, on the
-    processor of the study. Raises ValueError if both are set, and on a bad value.
+    accuracy: a name of `PRESETS`; by default "fast". budget_ms: largest wall time of a step of the scene's Δt, ms, on
+    the processor of the study. Raises ValueError if both are set, and on a bad value.
     """
     if accuracy is not None and budget_ms is not None:
         raise ValueError("recommend: expected one of accuracy, budget_ms, got both")
@@ -185,7 +192,10 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
 
 
 def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
-    """A text on the setting of a preset, and its cost over that of the best setting; "" without a preset."""
+    """Return a text on the setting of another preset, with the ratio of its cost to that of the best setting.
+
+    If `accuracy` is "", the text is "".
+    """
     if not accuracy:
         return ""
     other = cheapest(candidates, PRESETS[accuracy])
@@ -197,8 +207,9 @@ def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
 class Decision(NamedTuple):
     """The choice of `simulate(accuracy=…)` for a scene.
 
-    us: time of a step of the scene's Δt on the study's processor, μs; an upper bound if it is solved to a tolerance.
-    stiff: `Stiffness` of a scene that is too stiff for a few sweeps, or None. start: name of the start.
+    solver: solver options. start: name of the start. us: time of a step of the scene's Δt on the study's processor, μs;
+    an upper bound if steps are solved to a tolerance. stiff: `Stiffness` of a scene that is too stiff for a few sweeps,
+    or None. warnings: sentences for the user.
     """
 
     solver: object
@@ -209,10 +220,11 @@ class Decision(NamedTuple):
 
 
 def decide(scene: State, accuracy: str | MeasuredAccuracy | None, *, sleep: bool = False) -> Decision:
-    """The `Decision` of a preset for a scene; without a name, that of "fast". Raises ValueError on an unknown name.
+    """Return the `Decision` of a preset for a scene, by default of "fast". Raises ValueError on an unknown name.
 
-    sleep: whether to choose only among solvers that support sleeping. If no setting of the study keeps the preset, the
-    decision has a warning, but only for a preset that was named.
+    accuracy: name of the preset, or a measurement that decides in its place. sleep: whether to choose only among
+    solvers that support sleeping. If no setting of the study keeps the preset's tolerances, the decision has a warning,
+    but only if the preset was named.
     """
     if hasattr(accuracy, "decide"):
         return accuracy.decide(scene)
@@ -221,7 +233,7 @@ def decide(scene: State, accuracy: str | MeasuredAccuracy | None, *, sleep: bool
 
 
 def decided(numbers: SceneNumbers, stiff: Stiffness | None, accuracy: str | None, *, sleep: bool = False) -> Decision:
-    """`decide`, from the numbers and the stiffness of a scene."""
+    """Return the `Decision` of a preset from the numbers and the stiffness of a scene (`decide`)."""
     name = one_of("accuracy", accuracy or "fast", PRESETS)
     best = _chosen(name, sleep, *_case(numbers, stiff))
     sentences = _too_long(numbers, best["dt"])
@@ -238,42 +250,49 @@ def decided(numbers: SceneNumbers, stiff: Stiffness | None, accuracy: str | None
 
 
 def _way_out(us: float) -> str:
-    """A sentence on how to measure what the study has not measured. us: time of a step of a setting, μs."""
+    """Return a sentence that recommends `measure_trade` where the study does not suffice.
+
+    us: time of a step of a setting, μs, from which the sentence estimates the time of the measurement.
+    """
     return f"dc.measure_trade(scene) measures it on this scene, in about {MEASURING * us / 1e6:,.0f} s for 600 steps"
 
 
 @functools.lru_cache(256)
 def _chosen(accuracy: str, sleep: bool, *case) -> dict:
-    """The setting of the installed study (`_candidates`) for a preset."""
+    """Return the setting of the installed study for a preset. case: the arguments of `_candidates`."""
     candidates = [one for one in _candidates(*case) if not sleep or entry_of(one["solver"]).can_sleep]
     return cheapest(candidates, PRESETS[accuracy])
 
 
 @functools.cache
 def installed() -> dict:
-    """The study in the package."""
+    """Return the study in the package."""
     return json.loads(TABLE.read_text(encoding="utf-8"))
 
 
 def longest_step(numbers: SceneNumbers, dt: float) -> float:
-    """The time step of a scene, s, that corresponds to `dt` for circles of r = 1 m under 9.81 m/s²."""
+    """Return the time step of a scene, s, that corresponds to the step `dt` for circles of r = 1 m under 9.81 m/s².
+
+    dt: time step of a setting, s.
+    """
     speed = max(math.sqrt(numbers.gravity * numbers.radius), numbers.fastest / FASTEST)
     return math.inf if speed == 0 else dt * math.sqrt(-GRAVITY[1]) * numbers.radius / speed
 
 
 def parts_for(numbers: SceneNumbers, dt: float) -> int:
-    """Number of substeps of a scene's Δt, with which a substep is at most `longest_step(numbers, dt)`, to 5 %.
+    """Return the number of substeps of a scene's Δt so that a substep is at most `longest_step(numbers, dt)`.
 
-    It is a power of two, which scales impulses exactly, and at most `MOST_SUBSTEPS`.
+    A substep may exceed this length by 5 %. The number is a power of two, which scales impulses exactly, and at most
+    `MOST_SUBSTEPS`.
     """
     ratio = numbers.dt / longest_step(numbers, dt)
     return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
 
 
 def keeping(candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True) -> list[dict]:
-    """The candidates whose "errors" keep the tolerances.
+    """Return the candidates whose "errors" are within the tolerances.
 
-    margin: whether to return only candidates that keep the tolerances by `MARGIN`, if there are any.
+    margin: whether to return only candidates within `MARGIN` times the tolerances, if there are any.
     """
     shares = (MARGIN, 1.0) if margin else (1.0,)
     kept = ([one for one in candidates if excess(one["errors"], tolerances) <= most] for most in shares)
@@ -281,39 +300,44 @@ def keeping(candidates: list[dict], tolerances: Mapping[str, float], *, margin: 
 
 
 def excess(errors: Mapping[str, float | None], tolerances: Mapping[str, float]) -> float:
-    """The largest ratio of an error to its tolerance, of all errors that are known and have a tolerance."""
+    """Return the largest ratio of an error to its tolerance, over all errors that are known and have a tolerance."""
     known = ((errors.get(name), most) for name, most in tolerances.items())
     return max((value / most for value, most in known if value is not None), default=0.0)
 
 
 def cheapest(candidates: list[dict], tolerances: Mapping[str, float]) -> dict:
-    """The candidate with the least "us" of those that keep the tolerances; without one, the nearest candidate."""
+    """Return the candidate with the smallest "us" of those within the tolerances.
+
+    If there is none, return the candidate whose errors come nearest.
+    """
     if kept := keeping(candidates, tolerances):
         return min(kept, key=lambda one: one["us"])
     return min(candidates, key=lambda one: (excess(one["errors"], tolerances), one["us"]))
 
 
 def _case(numbers: SceneNumbers, stiff: Stiffness | None) -> tuple:
-    """Arguments of `_candidates` for a scene."""
+    """Return the arguments of `_candidates` for a scene."""
     substeps = {dt: parts_for(numbers, dt) for dt in _time_steps()}
     solver = stiff and stiff.solver(substeps[TIME_STEP])
     return numbers.count, tuple(kinds_of(numbers)), tuple(substeps.items()), solver
 
 
 def _time_steps() -> list[float]:
-    """Time steps of the study's settings, and that of the study's scenes, s, sorted."""
+    """Return the time steps of the study's settings and the time step of its scenes, s, sorted."""
     return sorted({setting["dt"] for setting in installed()["settings"]} | {TIME_STEP})
 
 
 def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list[dict]:
-    """Every setting as solver, start, cost (μs a step of the scene's Δt) and errors, for n circles of these kinds.
+    """Return every setting of the study for n circles of these kinds: its solver, start, cost and errors.
 
-    substeps: pairs of a time step of the study and the number of substeps of the scene's step for it.
-    Errors are the largest over the two sizes around the scene's and over the kinds that it is like. Times are those of
-    the slowest of these kinds, interpolated between the sizes by a power law.
+    A candidate has "solver", "start", "us" (μs for a step of the scene's Δt), "errors" and "dt" (time step of the
+    setting, s). Errors are the largest over the two sizes of the study around n, and over the kinds. Times are those of
+    the slowest kind, interpolated between the sizes by a power law.
+
+    substeps: pairs of a time step of the study, s, and the number of substeps into which it divides the scene's Δt.
     stiff: the solver for a scene that a few sweeps cannot solve (`stiffness`), or None. It is then the only candidate.
-    Its cost is an upper bound, that of all its sweeps at the least price of a sweep in the study; its errors are those
-    of the study's best setting.
+    Its cost is an upper bound: all its sweeps at the lowest cost of a sweep in the study. Its errors are those of the
+    study's best setting.
     """
     candidates, parts = [], dict(substeps)
     kinds, low, high = _near(n, kinds)
@@ -322,7 +346,7 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list
             continue
         measured = {size: kinds <= of_size.keys() for size, of_size in setting["errors"].items()}
         if not (measured.get(low) and measured.get(high)):
-            continue  # Large piles, and kinds other than plain ones, were run with fewer settings.
+            continue  # Large piles, and kinds other than "plain", were run with fewer settings.
         alike = [setting["errors"][size][kind] for size in (low, high) for kind in kinds]
         names = dict.fromkeys(name for one in alike for name in one)
         errors = {name: max(one[name] for one in alike if name in one) for name in names}
@@ -341,9 +365,10 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list
 
 
 def _near(n: int, kinds: Sequence[str]) -> tuple[set[str], str, str]:
-    """(Kinds, smaller size, larger size): those of the kinds that the study has, or all kinds, and its sizes around n.
+    """Return (kinds, smaller size, larger size): kinds of the study, and its two sizes around n, as text.
 
-    Beyond the sizes of a kind, such as drums, both are the nearest size.
+    The kinds are those of `kinds` that the study has, or all its kinds. If n is beyond the sizes of a kind, such as
+    drums, both sizes are the nearest size.
     """
     sizes_of = installed()["kinds"]
     wanted = sizes_of.keys() & kinds or set(sizes_of)
@@ -353,18 +378,18 @@ def _near(n: int, kinds: Sequence[str]) -> tuple[set[str], str, str]:
 
 
 def kinds_of(numbers: SceneNumbers) -> list[str]:
-    """The kinds of scenes of the study (`studies.runs.KINDS`) that a scene is like, or lies between.
+    """Return the kinds of scenes in the study (`studies.runs.KINDS`) that a scene resembles, or between which it lies.
 
-    Segments, a dam and two densities demand more than a pile does, and were run with settings that no pile was run
-    with. A scene with one of them therefore does not count as a pile.
+    Scenes with segments, a dam or two densities need better settings than piles, and the study ran them with settings
+    that it did not run on piles. A scene with one of these features therefore does not count as a pile.
     """
     if numbers.gravity == 0.0:
         return ["gas"]
     walls = ["drum"] if numbers.is_dragged else ["terrain", "hopper"] if numbers.still else []
     walls += ["piston"] if numbers.moving else []
-    kinds = [kind for kind in walls if kind in installed()["kinds"]]  # a small study has no walls
+    kinds = [kind for kind in walls if kind in installed()["kinds"]]  # a small study may not have these kinds
     kinds += _of_densities(numbers)
-    if not {"hopper", "piston"} & set(kinds) and _is_dam(numbers):  # circles that stand in these flow as well
+    if not {"hopper", "piston"} & set(kinds) and _is_dam(numbers):  # these two kinds contain such flows
         kinds.append("dam break")
     is_pile = not kinds
     if numbers.friction < FRICTION:
@@ -379,7 +404,7 @@ def kinds_of(numbers: SceneNumbers) -> list[str]:
 
 
 def _of_densities(numbers: SceneNumbers) -> list[str]:
-    """The study's kind of two densities that a scene is like: the next larger ratio, in layers or mixed."""
+    """Return, in a list, the study's kind of two densities for a scene: the next larger ratio, in layers or mixed."""
     if numbers.density_ratio <= 1.001:
         return []
     layers = "heavy on light" if numbers.layers > 0 else "light on heavy"
@@ -391,7 +416,7 @@ def _of_densities(numbers: SceneNumbers) -> list[str]:
 
 
 def _is_dam(numbers: SceneNumbers) -> bool:
-    """Whether circles stand so much higher than they could lie that they will flow apart: `SPREAD`, `DENSE`."""
+    """Return whether circles stand so much higher than they could lie that they will flow apart (`SPREAD`, `DENSE`)."""
     if numbers.count < 2:
         return False
     diameter = 2.0 * numbers.radius
@@ -401,7 +426,10 @@ def _is_dam(numbers: SceneNumbers) -> bool:
 
 
 def _us_at(n: int, times: Mapping[int, float]) -> float:
-    """Time at n circles, by a power law through the two nearest measured sizes."""
+    """Return the time of a step with n circles, μs, by a power law through the two nearest measured sizes.
+
+    times: number of circles -> time, μs.
+    """
     sizes = sorted(times)
     if len(sizes) == 1:
         return times[sizes[0]] * n / sizes[0]
@@ -412,7 +440,7 @@ def _us_at(n: int, times: Mapping[int, float]) -> float:
 
 
 def outside(numbers: SceneNumbers, stiff: Stiffness | None) -> list[str]:
-    """Sentences on properties of a scene that lie outside the study; an empty list if none do."""
+    """Return sentences on the properties of a scene that lie outside of the study, or an empty list."""
     sizes, count, speed = installed()["sizes"], numbers.count, numbers.fastest
     fastest = FASTEST * math.sqrt(numbers.gravity * numbers.radius)
     measured = {kind: installed()["kinds"].get(kind, [math.inf]) for kind in kinds_of(numbers)}
@@ -433,7 +461,10 @@ def outside(numbers: SceneNumbers, stiff: Stiffness | None) -> list[str]:
 
 
 def _too_long(numbers: SceneNumbers, dt: float) -> list[str]:
-    """A sentence, in a list, if a step needs more than `MOST_SUBSTEPS` substeps. dt: of the setting in the study, s."""
+    """Return a list with a sentence if a step needs more than `MOST_SUBSTEPS` substeps, and otherwise an empty list.
+
+    dt: time step of the setting in the study, s.
+    """
     needed = numbers.dt / longest_step(numbers, dt)
     if needed <= MOST_SUBSTEPS * _NEARLY:
         return []

@@ -1,4 +1,4 @@
-"""A scene in a few numbers, computed once, by which `presets`, `stiffness` and `trade` decide."""
+"""`SceneNumbers`: the numbers of a scene by which presets and measurements choose solvers."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from deep_contact.state.state import State
 
 
 class SceneNumbers(NamedTuple):
-    """Numbers of a scene. Up is against gravity; without gravity extents and layers are 0.
+    """Numbers of a scene. The direction up is against gravity. Without gravity `height`, `width` and `layers` are 0.
 
-    | field         | meaning                                                                       | unit |
-    |---------------|-------------------------------------------------------------------------------|------|
-    | count         | number of circles                                                             |      |
-    | dt            | time step                                                                     | s    |
-    | gravity       | magnitude of gravity                                                          | m/s² |
-    | friction      | μ                                                                             |      |
-    | restitution   | e                                                                             |      |
-    | is_dragged    | whether a surface of a segment moves                                          |      |
-    | still         | number of segments whose ends stay                                            |      |
-    | moving        | number of segments whose ends move                                            |      |
-    | radius        | mean radius                                                                   | m    |
-    | radius_ratio  | largest over smallest radius                                                  |      |
-    | lightest      | smallest mass                                                                 | kg   |
-    | mass_ratio    | largest over smallest mass                                                    |      |
-    | density_ratio | largest over smallest density                                                 |      |
-    | layers        | mean height of dense circles less that of light ones, over the height of all  |      |
-    | fastest       | speed of the fastest circle, end of a segment, or surface that drags circles  | m/s  |
-    | squares       | sum of the squares of the radii                                               | m²   |
-    | height, width | extent of all centres, up and across                                          | m    |
-    | box_width     | extent of the box across gravity                                              | m    |
+    | field         | meaning                                                                      | unit |
+    |---------------|------------------------------------------------------------------------------|------|
+    | count         | number of circles                                                            |      |
+    | dt            | time step                                                                    | s    |
+    | gravity       | magnitude of gravity                                                         | m/s² |
+    | friction      | μ                                                                            |      |
+    | restitution   | e                                                                            |      |
+    | is_dragged    | whether the surface of any segment moves                                     |      |
+    | still         | number of segments whose ends do not move                                    |      |
+    | moving        | number of segments whose ends move                                           |      |
+    | radius        | mean radius                                                                  | m    |
+    | radius_ratio  | largest over smallest radius                                                 |      |
+    | lightest      | smallest mass                                                                | kg   |
+    | mass_ratio    | largest over smallest mass                                                   |      |
+    | density_ratio | largest over smallest density                                                |      |
+    | layers        | mean height of dense circles minus that of light circles, over `height`      |      |
+    | fastest       | speed of the fastest circle, end of a segment, or surface that drags circles | m/s  |
+    | squares       | sum of the squares of the radii                                              | m²   |
+    | height, width | extent of all centres, up and across                                         | m    |
+    | box_width     | extent of the box across gravity                                             | m    |
     """
 
     count: int
@@ -60,7 +60,7 @@ class SceneNumbers(NamedTuple):
 
 
 def scene_numbers(state: State) -> SceneNumbers:
-    """The numbers of a scene, from one pass over its circles.
+    """Return the numbers of a scene, from one pass over its circles.
 
     Fixed circles count in `count`, `radius` and `fastest`, and in no other number.
     """
@@ -85,7 +85,10 @@ def scene_numbers(state: State) -> SceneNumbers:
 
 @njit(cache=True, error_model="numpy")
 def _measured(position, velocity, mass, radius, up):
-    """The fields `radius_ratio` to `width` of `SceneNumbers`; ratios are 1 without circles. up: a unit vector, or 0."""
+    """Return the fields `radius_ratio` to `width` of `SceneNumbers`. Without circles the ratios are 1.
+
+    up: unit vector against gravity, or (0, 0).
+    """
     n = mass.shape[0]
     if n == 0:
         return 1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0

@@ -1,10 +1,12 @@
-"""Scenes that a few sweeps cannot solve: what makes them stiff, and the solver for them.
+"""Stiff scenes, which a few sweeps cannot solve: how they are recognised, and the solver for them.
 
-A sweep carries information one contact further, so in a column Projected Gauss-Seidel needs sweeps in proportion to
-height times load. Such scenes, and scenes with ratios of masses beyond those of the study, get conjugate gradients to a
-tolerance that is small for the lightest circle, in substeps, which a ratio of 1e8 needs (Figure 6.6). A high pyramid
-creeps apart at one step of 10 ms however well it is solved, since the next solve does not account for the displacements
-of position correction. It gets substeps of eight sweeps.
+A sweep carries information one contact further. In a column, Projected Gauss-Seidel therefore needs sweeps in
+proportion to height times load. Such columns, and scenes with mass ratios beyond those of the study, are solved by
+conjugate gradients to a tolerance that is small for the lightest circle. The steps are divided into substeps, which a
+mass ratio of 1e8 needs (Figure 6.6).
+
+A high pyramid creeps apart at one step of 10 ms, however well it is solved, since the next solve does not account for
+the displacements of position correction. It is solved in substeps of eight sweeps.
 """
 
 from __future__ import annotations
@@ -22,44 +24,46 @@ from deep_contact.state.state import State
 from deep_contact.stepping.problem import contacts_of
 
 MASS_RATIO = 100.0
-"""Largest ratio of masses that is left to the study's settings."""
+"""Largest ratio of two masses in a scene for which the settings of the study are used."""
 
 LOAD = 250.0
-"""Largest product of a column's height, in circles, and its load (`_load`) that is left to the study's settings."""
+"""Largest product of a column's height, in circles, and its load (`_load`) for which the settings of the study are
+used."""
 
 SLENDER = 8.0
-"""Least ratio of height to width of a column that is not narrow."""
+"""Ratio of height to width above which circles count as a column."""
 
 NARROW = 2.0
-"""Width of a narrow column, in circles."""
+"""Width, in circles, below which circles always count as a column."""
 
 HEAP = 50.0
-"""Height of the lowest heap, in circles."""
+"""Height, in circles, up to which circles do not count as a heap."""
 
 FILLED = 0.75
-"""Largest share of the rectangle around it that a heap fills; a pyramid fills half."""
+"""Largest share of its bounding rectangle that a heap fills. A pyramid fills half of it."""
 
 TOUCHING = 1.5
-"""Least number of contacts a circle in a heap: a heap lies, and does not fall."""
+"""Number of contacts per circle above which circles count as a heap at rest. Falling circles have fewer."""
 
 HEAP_ROWS = 12.0
-"""Height of a heap, in circles, for each of its substeps of eight sweeps."""
+"""Largest height of a heap, in circles, for each of its substeps of eight sweeps. The number of substeps is a power of
+two."""
 
 SWEEPS = 5000
 """Largest number of sweeps in a substep that is solved to a tolerance."""
 
 SUBSTEPS = 4
-"""Least number of substeps of a step that is solved to a tolerance."""
+"""Smallest number of substeps of a step that is solved to a tolerance."""
 
 SHARE = 1e-6
-"""The tolerance of such a solve, over m g Δt of the lightest circle, where Δt is that of the substep."""
+"""Tolerance of a stiff solve, divided by m g Δt of the lightest circle, where Δt is that of the substep."""
 
 
 class Stiffness(NamedTuple):
     """The reason why a scene is too stiff for a few sweeps, and the numbers from which its solver follows.
 
-    why: the reason, in words. carried: impulse that carries the lightest circle for Δt, N·s; None for a heap, which is
-    not solved to a tolerance. heap: factor on the number of substeps of a heap.
+    why: the reason, in words. carried: impulse that carries the weight of the lightest circle for Δt, N·s; None for a
+    heap, which is not solved to a tolerance. heap: factor on the number of substeps of a heap.
     """
 
     why: str
@@ -67,7 +71,10 @@ class Stiffness(NamedTuple):
     heap: int = 1
 
     def solver(self, substeps: int = 1) -> PGS:
-        """The solver for the scene. substeps: number of substeps that its Δt needs (`presets.parts_for`)."""
+        """Return the solver for the scene.
+
+        substeps: number of substeps that the scene's Δt needs in any case (`presets.parts_for`).
+        """
         if self.carried is None:
             return PGS(sweeps=8, tolerance=None, substeps=substeps * self.heap)
         substeps = max(SUBSTEPS, substeps)
@@ -76,7 +83,10 @@ class Stiffness(NamedTuple):
 
 
 def stiffness(scene: State, numbers: SceneNumbers | None = None) -> Stiffness | None:
-    """The `Stiffness` of a scene that is too stiff for a few sweeps, or None. numbers: of the scene, if at hand."""
+    """Return the `Stiffness` of a scene that is too stiff for a few sweeps, or None for any other scene.
+
+    numbers: `scene_numbers(scene)`, if already computed.
+    """
     numbers = numbers or scene_numbers(scene)
     if numbers.count < 2:
         return None
@@ -94,17 +104,18 @@ def stiffness(scene: State, numbers: SceneNumbers | None = None) -> Stiffness | 
 
 
 def height_and_width(numbers: SceneNumbers) -> tuple[float, float]:
-    """(Height, width) of all circles, against gravity and across it, in mean diameters; (0, 0) without gravity."""
+    """Return (height, width) of all circles, up and across, in mean diameters; (0, 0) without gravity."""
     if numbers.gravity == 0.0:
         return 0.0, 0.0
     high, wide = (extent / (2.0 * numbers.radius) + 1.0 for extent in (numbers.height, numbers.width))
-    return min(high, numbers.count), wide  # circles that fall from far above are no column
+    return min(high, numbers.count), wide  # no column is higher than all its circles
 
 
 def _load(scene: State) -> float:
-    """The largest ratio of the mass above a circle to its own mass, over all circles.
+    """Return the largest ratio of the mass above a circle to its own mass, over all circles.
 
-    The mass above is counted in strips as wide as the largest circle; a circle carries the share of its width.
+    The scene is divided into upright strips as wide as the largest circle. The mass above a circle is that of the
+    higher circles in its strip, times the diameter of the circle, divided by the width of the strip.
     """
     bodies, gravity = scene.bodies, np.asarray(scene.world.gravity, float)
     if bodies.is_fixed.all():
@@ -115,7 +126,7 @@ def _load(scene: State) -> float:
     widest = float(bodies.radius.max())
     strip = np.floor((across - across.min()) / (2.0 * widest) + 1e-9)
     order = np.lexsort((-up, strip))
-    first = np.searchsorted(strip[order], strip[order])  # first place of each circle's strip
+    first = np.searchsorted(strip[order], strip[order])  # first index of each circle's strip
     sums = np.concatenate([[0.0], np.cumsum(bodies.mass[order])])
     return float(((sums[:-1] - sums[first]) * (bodies.radius / widest / bodies.mass)[order]).max())
 

@@ -1,1 +1,1 @@
-"""What a setting costs on a scene, and what it gets wrong: runs beside a reference, and beside other engines."""
+"""Measurement of the cost and the errors of settings on a scene, against a reference and other engines."""

@@ -1,9 +1,9 @@
-"""Observations of a run, and errors of an ensemble of runs against another one, with intervals.
+"""Observations of a run, and errors of an ensemble of runs against a reference ensemble, with confidence intervals.
 
-A pile is chaotic: two runs differ after a second, whatever the solver. So an error compares the means and distributions
-of an ensemble of seeds with those of a reference, the limit of small steps. Lengths are counted in mean radii r and
-speeds in √(g r), so that errors are the same at every scale. Without gravity a tenth of the fastest circle's speed
-takes the place of √(g r), as in `presets.longest_step`.
+A pile is chaotic: two runs differ after a second, whatever the solver. An error therefore compares means and
+distributions over an ensemble of seeds with those of a reference, which stands for the limit of small steps. Lengths
+are counted in mean radii r and speeds in √(g r), so that errors are the same at every scale. Without gravity a tenth of
+the fastest circle's speed takes the place of √(g r), as in `presets.longest_step`.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from deep_contact.state.state import State
 from deep_contact.state.validation import brief
 
 LOADS = np.linspace(0.0, 6.0, 121)
-"""Values of λ_n / mean λ_n at which its distribution is stored."""
+"""Values of λ_n / mean λ_n at which the cumulative distribution of this ratio is stored, (121,)."""
 
 REST = 20
-"""Number of last observations of a run that count as at rest."""
+"""Number of observations at the end of a run in which the circles count as at rest."""
 
 SETTLED = 0.2
-"""Root mean square speed of the reference at rest, √(g r), below which heights count as settled; in a drum it is
-larger."""
+"""Rms speed of the reference at rest, in √(g r), below which heights count as settled. In a drum this speed is larger.
+"""
 
 TOUCHING = 1e-3
-"""Gap, in radii, below which two circles count as in contact: rigid ones that touch have a gap of 0."""
+"""Gap, in mean radii, up to which two bodies count as in contact. Rigid bodies that touch have a gap of 0."""
 
 LARGEST = 1e100
-"""Largest value of a quantity: sums of values have to be finite."""
+"""Largest absolute value that a user's quantity may have, so that sums of values are finite."""
 
 ERRORS = {
     "energy": "kinetic-energy curve: Σ |⟨E_k⟩ − ⟨E_k⟩*| / Σ ⟨E_k⟩* over the whole run, %",
@@ -49,12 +49,13 @@ ERRORS = {
     "forces": "distribution of λ_n / mean λ_n at rest: Kolmogorov-Smirnov distance, %",
     "impact": "largest force on the box in an interval: difference, % of the reference's",
 }
-"""Name of an error -> its definition and unit. All but the penetrations, which should be 0, are against the reference.
+"""Name of an error -> its definition and unit. ⟨ ⟩ is the mean over seeds, * marks the reference.
 
-Energy, height and force are those of the whole pile (the force from its momentum: M (g + dv / dt) with v against
-gravity, in weights; its mean at rest is 1, exactly). The distribution of forces is the classical fingerprint of a
-granular packing (Radjai et al., Phys. Rev. Lett. 77, 1996); penetration and restlessness are what engine users look at
-(Catto, Solver2D, 2024).
+Penetrations are errors in themselves, since they should be 0. All other errors are differences from the reference.
+Energy, height and force are those of the whole pile. The force follows from the pile's momentum: M (g + dv / dt), where
+v is the velocity of its centre of mass against gravity. It is divided by the weight, so that its mean at rest is
+exactly 1. The distribution of forces is the classical characteristic of a granular packing (Radjai et al., Phys. Rev.
+Lett. 77, 1996). Users judge an engine by penetration and restlessness (Catto, Solver2D, 2024).
 """
 
 
@@ -62,19 +63,20 @@ granular packing (Radjai et al., Phys. Rev. Lett. 77, 1996); penetration and res
 class Observation(NamedTuple):
     """Observations of one run, at T equally spaced times.
 
-    | field       | meaning                                                                    | shape    | unit    |
-    |-------------|----------------------------------------------------------------------------|----------|---------|
-    | kinetic     | kinetic energy                                                             | (T,)     | M u²    |
-    | height      | of the centre of mass above the lowest corner of the box, against gravity  | (T,)     | r       |
-    | speed       | root mean square speed of the circles                                      | (T,)     | u       |
-    | penetration | mean, 95th percentile and largest over the contacts                        | (T, 3)   | r       |
-    | contacts    | pairs whose gap is below `TOUCHING`, per circle                            | (T,)     | –       |
-    | force       | mean force on the box along gravity from time to time; None without it     | (T − 1,) | M g     |
-    | loads       | share of the λ_n > 0 at rest that are at most LOADS · mean; None if unknown | (121,)   | –       |
-    | interval    | time between two observations                                              | ()       | r / u   |
-    | quantities  | name -> values of a quantity of the user, or a sentence on why there are none | (T, …) | its own |
+    | field       | meaning                                                                       | shape    | unit    |
+    |-------------|-------------------------------------------------------------------------------|----------|---------|
+    | kinetic     | kinetic energy                                                                | (T,)     | M u²    |
+    | height      | height of the centre of mass above the lowest corner of the box               | (T,)     | r       |
+    | speed       | root mean square speed of the circles                                         | (T,)     | u       |
+    | penetration | mean, 95th percentile and largest over the contacts                           | (T, 3)   | r       |
+    | contacts    | number of pairs whose gap is at most `TOUCHING`, per circle                   | (T,)     | –       |
+    | force       | mean force on the box along gravity between successive times; None if g = 0   | (T − 1,) | M g     |
+    | loads       | share of the λ_n > 0 at rest that are at most LOADS times their mean; or None | (121,)   | –       |
+    | interval    | time between two observations                                                 | ()       | r / u   |
+    | quantities  | name -> values of a user's quantity, or a sentence on why it has none         | (T, …)   | its own |
 
-    u = √(g r). Without gravity u is a tenth of the fastest circle's speed at the first time, and the height is 0.
+    M is the total mass, r the mean radius, and u = √(g r). Without gravity u is a tenth of the fastest circle's speed
+    at the first time, and the height is 0. `loads` is None if no contact at rest has an impulse.
     """
 
     kinetic: np.ndarray
@@ -89,7 +91,7 @@ class Observation(NamedTuple):
 
 
 def observation(stored: Mapping) -> Observation:
-    """The observation whose fields JSON has stored as lists."""
+    """Return the `Observation` whose fields were stored as lists in JSON."""
     arrays = {name: np.array(of) if isinstance(of, list) else of for name, of in stored.items()}
     own = {name: of if isinstance(of, str) else np.array(of) for name, of in stored["quantities"].items()}
     return Observation(**arrays | {"quantities": own})
@@ -98,10 +100,11 @@ def observation(stored: Mapping) -> Observation:
 def observe(
     states: Iterable[State], quantities: Mapping[str, Callable[[State], object]] = MappingProxyType({})
 ) -> Observation:
-    """The `Observation` of a run from its states, with contacts, at equally spaced times, such as a `Trajectory`.
+    """Return the `Observation` of a run from its states, such as a `Trajectory`.
 
-    quantities: name -> function of a state that returns a number or an array. Impulses are the carried ones.
-    Raises ValueError with fewer than `REST` states, and if there is neither gravity nor motion.
+    states: states with contacts, at equally spaced times. quantities: name -> function of a state that returns a number
+    or an array. The impulses of a state are those that it carries from the step before. Raises ValueError with fewer
+    than `REST` states, and if there is neither gravity nor motion.
     """
     rows, momentum, loads, times, unit = [], [], [], [], None
     own: dict[str, list | str] = {name: [] for name in quantities}
@@ -137,7 +140,10 @@ def observe(
 
 
 def with_next(name: str, quantity: Callable, state: State, before: list | str) -> list | str:
-    """The values of a quantity before, and its value for this state; or a sentence on what is wrong with it."""
+    """Return the values of a quantity with its value for this state appended, or a sentence on what is wrong with it.
+
+    before: the values for earlier states, or such a sentence, which is returned.
+    """
     if isinstance(before, str):
         return before
     where = f"quantities[{name!r}] at t = {state.time:.3g} s: expected"
@@ -153,20 +159,20 @@ def with_next(name: str, quantity: Callable, state: State, before: list | str) -
 
 
 def errors(found: Sequence[Observation], reference: Sequence[Observation]) -> dict[str, float | None]:
-    """The `ERRORS` of an ensemble against the reference's ensemble of the same scenes; None for unknown errors.
+    """Return the `ERRORS` of an ensemble against the reference's ensemble of the same scenes. Unknown errors are None.
 
-    A quantity q of the user has two errors, as shares of the reference's size. "q" is the error of the mean curve,
-    Σ |⟨q⟩ − ⟨q⟩*| / Σ |⟨q⟩*|. "q spread" is the Wasserstein distance between the distributions of q's mean over a run,
-    over seeds. Both are absolute if the reference is 0.
+    A quantity q of the user has two errors, relative to the reference's size. "q" is the error of the mean curve, Σ
+    |⟨q⟩ − ⟨q⟩*| / Σ |⟨q⟩*|. "q spread" compares the means of q over a run: it is the Wasserstein distance between their
+    distributions over seeds. Both errors are absolute if the reference is 0.
 
-    Without gravity nothing comes to rest: only the energy and the deepest penetration are known. A share of nothing,
-    such as of the energy of circles that never move, is unknown too.
+    Without gravity nothing comes to rest, so only the energy and the deepest penetration are known. A relative error is
+    also unknown if the reference is 0, such as the energy of circles that never move.
     """
     mean, true = _means(found), _means(reference)
     at_rest = slice(-REST, None)
 
     def creep(means):
-        """Slope of the straight line through the settled heights, √(g r)."""
+        """Return the slope of the straight line through the settled heights, in √(g r)."""
         return np.polyfit(reference[0].interval * np.arange(REST), means["height"][at_rest], 1)[0]
 
     def share(difference, whole):
@@ -211,9 +217,10 @@ def _of_quantities(found: Sequence[Observation], reference: Sequence[Observation
 def intervals(
     found: Sequence[Observation], reference: Sequence[Observation], *, resamples: int = 400
 ) -> dict[str, tuple[float, float, float] | None]:
-    """Each of the `errors` with its `interval`: name -> (value, low, high), or None.
+    """Return each error with its confidence interval: name -> (value, low, high), or None for an unknown error.
 
-    The same seeds are drawn for both ensembles. Raises ValueError where these differ in length.
+    `errors` defines the errors, `interval` the intervals. Each resampling draws the same seeds for both ensembles.
+    Raises ValueError if the ensembles differ in length.
     """
     if len(found) != len(reference):
         raise ValueError(f"found: expected {len(reference)} runs, as the reference has, got {len(found)}")
@@ -223,7 +230,7 @@ def intervals(
     def of_seeds(drawn):
         pairs = (([found[i] for i in row], [reference[i] for i in row]) for row in drawn)
         resampled = [errors(*pair) for pair in pairs]
-        # A resampling may lack an error that the whole ensemble has, such as that of settled heights.
+        # An error that is unknown in a resampling, such as that of settled heights, is that of the whole ensemble.
         return np.array([[values[n] if one[n] is None else one[n] for n in known] for one in resampled], float)
 
     three = interval(of_seeds, len(found), resamples=resamples).T.tolist()
@@ -231,7 +238,7 @@ def intervals(
 
 
 def _means(runs: Sequence[Observation]) -> dict:
-    """Mean curves of an ensemble, and its mean peak of the force."""
+    """Return the mean curves of an ensemble by name, its mean peak of the force, and its mean `loads`."""
     names = ("kinetic", "height", "speed", "penetration", "contacts")
     means = {name: np.mean([getattr(run, name) for run in runs], axis=0) for name in names}
     known = all(run.loads is not None for run in runs)
@@ -240,10 +247,10 @@ def _means(runs: Sequence[Observation]) -> dict:
 
 
 def interval(statistic: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: int = 2000) -> np.ndarray:
-    """[value, low, high], (3, …): a statistic of scenes and its bootstrap interval of 95 % by percentiles (Efron 1979).
+    """Return [value, low, high], (3, …): a statistic of scenes and its 95 % bootstrap interval.
 
-    statistic: function of the indices of drawn scenes, (rows, count), one row a resampling, that returns (rows, …).
-    count: number of scenes. One scene has no spread: its interval is the value.
+    The interval is by percentiles (Efron 1979). statistic: function of the indices of drawn scenes, (rows, count), a
+    row for each resampling. It returns (rows, …). count: number of scenes. With one scene, low and high are the value.
     """
     value = statistic(np.arange(count)[None])[0]
     if count == 1:
@@ -256,9 +263,10 @@ def interval(statistic: Callable[[np.ndarray], np.ndarray], count: int, *, resam
 
 
 def with_reach(error: Sequence[float]) -> tuple[float, np.ndarray]:
-    """An error of `intervals`, and the distances of the lower and the upper end of its interval, (2, 1).
+    """Return the value of an error, and its distances to the lower and the upper end of its interval, (2, 1).
 
-    A bootstrap interval by percentiles may not contain the value; the distance of the end on that side is then 0.
+    error: (value, low, high) of `intervals`. A bootstrap interval by percentiles may not contain the value. The
+    distance to the end on that side is then 0.
     """
     value, low, high = error
     return value, np.maximum([[value - low], [high - value]], 0.0)

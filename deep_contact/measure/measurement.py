@@ -1,8 +1,11 @@
-"""`measure_trade`: runs of all settings on a scene, seed by seed, beside a reference.
+"""`measure_trade`: the cost and the errors of settings on a scene, from runs with several seeds.
 
-Every setting runs the scene with several seeds. A reference runs it too, with 20 sweeps of PGS and substeps of at most
-a sixteenth of the longest that a preset takes; what `stiffness` finds too stiff for that, it solves better
-(`settings.reference_of`). Errors are the differences of both ensembles (`measure.errors`), with intervals over seeds.
+Every setting runs the scene with every seed. So does a reference, with 20 sweeps of PGS in substeps of at most a
+sixteenth of the longest step that a preset uses. For scenes that `stiffness` finds too stiff, the reference has a
+better solver (`settings.reference_of`). Errors are the differences between the runs of a setting and those of the
+reference (`measure.errors`), with intervals over seeds.
+
+Tests: tests/measure/test_trade.py
 """
 
 from __future__ import annotations
@@ -35,13 +38,13 @@ from deep_contact.stepping.interface import entry_of
 from deep_contact.stepping.prepare import ready
 
 FRAMES = 120
-"""Least observations of a run; a shorter one has as many as it has steps."""
+"""Smallest number of observations of a run. A run with fewer steps has one observation a step."""
 
 SHIFT = 1e-3
-"""Largest shift of a coordinate of a copy of a state, in slops."""
+"""Largest shift of a coordinate in a copy of a state, in slops."""
 
 APART = 0.01
-"""Root mean square distance, in mean radii, from which on two copies are no longer together."""
+"""Root mean square distance of the circles of two copies, in mean radii, above which the copies count as apart."""
 
 TIMED = 2
 """Number of seeds whose runs are timed, each in one call."""
@@ -65,16 +68,16 @@ def measure_trade(
 ) -> Trade:
     """Measure the cost and the errors of settings on a scene.
 
-    scene: a state, or a function of a seed that returns a state. If it is a state, each seed makes a copy with its
-    coordinates shifted by up to 0.001 slops. steps: number of steps of the scene's Δt in each run, at least 20. From
-    240 steps on, a run leaves out last steps that fill no interval between its observations. seeds: number of seeds,
-    or the seeds themselves.
+    scene: a state, or a function of a seed that returns a state. A state is copied for each seed, with its coordinates
+    shifted by up to 0.001 slops. steps: number of steps of the scene's Δt in each run, at least 20. From 240 steps on,
+    observations are several steps apart, and a run leaves out the last steps if they do not fill such an interval.
+    seeds: number of seeds, or the seeds themselves.
     minutes: time after which no further run begins; the result then has the runs so far. Compiling does not count.
-    quantities: name -> a function of a state that returns a number or an array. It is called after each step, and from
-    240 steps on at 120 to 179 equal intervals.
-    settings: solvers to measure beside the presets, such as PGS(sweeps=4); by default a short ladder around the
-    presets. engines: whether Box2D and pymunk run the scene as well, if they can. jobs: as in `parallel.finished`.
-    before: an earlier result, whose runs are not done again.
+    quantities: name -> a function of a state that returns a number or an array. It is called at each observation: after
+    each step, and from 240 steps on at 120 to 179 equal intervals.
+    settings: solvers to measure besides the presets, such as PGS(sweeps=4); by default a short list around the presets.
+    engines: whether other engines (`peers.ENGINES`) run the scene as well, if they can. jobs: number of processes, or
+    an executor, as in `parallel.finished`. before: an earlier result, whose runs are not done again.
 
     Runs are done seed by seed. Ctrl-C returns the result of the runs so far.
     Raises ValueError on bad arguments, and if a run of the reference ends with an error.
@@ -91,15 +94,15 @@ def measure_trade(
 
 
 def _intervals(trade: Trade) -> tuple[int, float]:
-    """Number of intervals between the observations of a run, and their length, s."""
+    """Return the number of intervals between the observations of a run, and the length of an interval, s."""
     every = max(1, trade.steps // FRAMES)
     return trade.steps // every, every * trade.dt
 
 
 def _run(trade: Trade, states: Sequence[State], quantities: Mapping, minutes: float | None, jobs) -> None:
-    """Do all runs, until the time is over or the user interrupts them; their results go into the trade, in place."""
+    """Do all runs, until the time is over or the user interrupts them. Their results go into the trade, in place."""
     settings = {REFERENCE: trade.reference, **trade.settings, HALF: trade.half}
-    # Seed by seed, so that a budget that ends leaves out seeds, not settings.
+    # The order is seed by seed. When the time is over, seeds are then missing, not settings.
     runs = [(name, i) for i in range(len(states)) for name in settings if (name, i) not in trade.observed]
     where = *_intervals(trade), quantities
     tasks = [(states[i], settings[name], *where, _is_timed(trade, name, i)) for name, i in runs]
@@ -123,12 +126,12 @@ def _run(trade: Trade, states: Sequence[State], quantities: Mapping, minutes: fl
 
 
 def _has_reference(trade: Trade) -> bool:
-    """Whether a run of the reference is known, without which there are no errors."""
+    """Return whether a run of the reference is done. Without such a run there are no errors."""
     return any(name == REFERENCE for name, _ in trade.observed)
 
 
 def _checked(steps, minutes, seeds, quantities, jobs) -> tuple[list[int], dict[str, Callable]]:
-    """The seeds and the quantities of `measure_trade`. Raises ValueError on bad arguments."""
+    """Return the seeds and the quantities of `measure_trade`. Raises ValueError on bad arguments."""
     integer("steps", steps, least=REST)
     if minutes is not None:
         number("minutes", minutes, above=0)
@@ -148,12 +151,15 @@ def _checked(steps, minutes, seeds, quantities, jobs) -> tuple[list[int], dict[s
 
 
 def _is_timed(trade: Trade, name: str, i: int) -> bool:
-    """Whether the run of this name and of the i-th seed is timed: runs of settings are, runs of the reference not."""
+    """Return whether the run of this name with the i-th seed is timed.
+
+    Only runs of settings are timed, with the first `TIMED` seeds. Runs of the reference are not.
+    """
     return i < TIMED and name in trade.settings
 
 
 def _task(task: tuple) -> tuple[float | None, Observation] | str:
-    """(Seconds or None, Observation) of a run, or the message of the error with which it ends."""
+    """Return (seconds or None, Observation) of a run, or the message of the error with which it ends."""
     start, setting, frames, interval, quantities, is_timed = task
     try:
         seconds = timed(start, setting, frames * interval) if is_timed else None
@@ -163,7 +169,10 @@ def _task(task: tuple) -> tuple[float | None, Observation] | str:
 
 
 def copies(scene: State | Callable[[int], State], seeds: Sequence[int]) -> list[State]:
-    """The scene of each seed. Raises ValueError on a value that is no scene, and on a scene that is not valid."""
+    """Return the scene of each seed.
+
+    Raises ValueError on a value that is no scene, and on a scene that is not valid.
+    """
     if isinstance(scene, State):
         bodies, slop = ready(scene).bodies, scene.scales.slop
         expect(bodies.count, "scene: expected a circle at least, got none")
@@ -184,7 +193,7 @@ def copies(scene: State | Callable[[int], State], seeds: Sequence[int]) -> list[
 
 
 def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantities: Mapping) -> Trade:
-    """The trade before its first run. All code that the runs need is compiled."""
+    """Return the trade before its first run. All code that the runs need is compiled here."""
     first, numbers = states[0], scene_numbers(states[0])
     stiff = stiffness(first, numbers)
     by_preset, more = settings_of_presets(numbers, stiff), ladder(numbers)
@@ -194,7 +203,7 @@ def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantit
     if outside := presets.outside(numbers, stiff):
         notes.append("outside of the study of the presets: " + "; ".join(outside))
     for setting in (*by_preset.values(), *more):
-        with contextlib.suppress(FloatingPointError):  # its runs will report it
+        with contextlib.suppress(FloatingPointError):  # the runs of this setting will report the error
             Run(first, setting).advance(1)
     named = {name_of(one, first.dt): one for one in (*by_preset.values(), *more, *found)}
     values = {name: with_next(name, quantity, ready(first), []) for name, quantity in quantities.items()}
@@ -209,13 +218,16 @@ def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantit
 
 
 def _digest_of_state(state: State) -> str:
-    """Digest of everything from which a run starts: the world, the bodies, the contacts with impulses, and the time."""
+    """Return a digest of everything from which a run starts.
+
+    This is the world, the bodies, the contacts with their impulses, the time, the step and Δt.
+    """
     moment = repr((state.world, state.time, state.step, state.dt, state.solved, state.contacts is None))
     return _digest(moment, *state.bodies, *(state.contacts or ()))
 
 
 def _digest(*parts) -> str:
-    """Sixteen hexadecimal digits of arrays and texts."""
+    """Return a digest of arrays and texts, sixteen hexadecimal digits."""
     sha = hashlib.sha256()
     for part in parts:
         sha.update(part.encode() if isinstance(part, str) else np.ascontiguousarray(part).tobytes())
@@ -223,7 +235,10 @@ def _digest(*parts) -> str:
 
 
 def _known(trade: Trade, before: Trade) -> dict:
-    """Observations of an earlier result that are of this trade's runs. Raises ValueError if it is of another trade."""
+    """Return the observations of an earlier result that belong to runs of this trade.
+
+    Raises ValueError if the earlier result is of another scene, or of runs that differ from those of this trade.
+    """
     expect(isinstance(before, Trade), f"before: expected a Trade, got {brief(before)}")
     for name in ("dt", "steps", "quantities", "looks", "reference", "cpu"):
         mine, other = getattr(trade, name), getattr(before, name)
@@ -235,7 +250,7 @@ def _known(trade: Trade, before: Trade) -> dict:
 
 
 def _judge(trade: Trade) -> None:
-    """Fill rows, noise and notes of the trade from its observations, in place."""
+    """Compute rows, noise, convergence and notes of the trade from its observations, in place."""
     true = {i: seen for (name, i), (_, seen) in sorted(trade.observed.items()) if name == REFERENCE}
     trade.seeds, seconds_each = len(true), math.prod(_intervals(trade))
 
@@ -256,7 +271,10 @@ def _judge(trade: Trade) -> None:
 
 
 def _sentences(trade: Trade, reference: Sequence[Observation], checked: int) -> Iterator[str]:
-    """Notes of a trade: errors that seeds or the reference leave undecided, failed quantities, and missing contacts."""
+    """Yield the notes of a trade: undecided errors, doubts about the reference, failed quantities, missing contacts.
+
+    reference: observations of the reference. checked: number of runs with half the reference's step.
+    """
     for name, noise in trade.noise.items():
         of = [row["errors"][name][0] for row in trade.rows if row["errors"][name]]
         differ = max(of, default=0.0) - min(of, default=0.0)
@@ -274,7 +292,7 @@ def _sentences(trade: Trade, reference: Sequence[Observation], checked: int) -> 
 
 
 def _together(pair: Sequence[State], trade: Trade) -> str:
-    """A sentence on how long two copies of a state stay together."""
+    """Return a sentence on how long two copies of a state stay close to each other."""
     setting, (frames, interval) = trade.settings[trade.by_preset["fast"]], _intervals(trade)
     for k, (one, other) in enumerate(zip(*(states_of(state, setting, frames, interval) for state in pair))):
         apart = np.sqrt(((one.bodies.position - other.bodies.position) ** 2).sum(axis=1).mean())

@@ -1,13 +1,14 @@
-"""The same scene in other engines: Box2D 2.3 (`Box2D`), Chipmunk (`pymunk`) and Box2D v3 (`pyb2d3`).
+"""Other engines on the same scene: Box2D 2.3 (`Box2D`), Chipmunk (`pymunk`) and Box2D v3 (`pyb2d3`).
 
-Tests use them as oracles, benchmarks and studies for comparison. An adapter is built from a `State`: its circles with
-their masses, its box, segments that stand still, gravity, friction and restitution. It has `step(dt, sweeps,
-position_sweeps)`, `run` for many steps, `bodies()` and `contact_count()`.
+Tests use these engines as oracles. Benchmarks and studies use them for comparison. An adapter is built from a `State`:
+its circles with their masses, its box, its segments, gravity, friction and restitution. It has the methods `step(dt,
+sweeps, position_sweeps)`, `run` for many steps, `bodies()` and `contact_count()`.
 
-Slop, thresholds and largest speeds are the engines' own, which are absolute lengths and speeds. Only Chipmunk's slop
-and the walls' radius are set by the adapters, and follow the scene (`State.scales`). Sleeping and continuous collision
-are off, warm starting is on. Contacts are not passed on: the first step starts from zero. An adapter raises ImportError
-where its package is not installed, and ValueError for a bad state, for segments that move, and for fixed circles.
+Slop, thresholds and largest speeds are those of the engines, which are absolute lengths and speeds. Only Chipmunk's
+slop and the radius of the walls are set by the adapters, and follow the scene (`State.scales`). Sleeping and continuous
+collision detection are off, warm starting is on. The contacts of the state are not used, so that the first step starts
+from impulses of 0. An adapter raises ImportError if its package is not installed, and ValueError for a bad state, for
+segments that move, and for fixed circles.
 """
 
 from __future__ import annotations
@@ -30,17 +31,17 @@ from deep_contact.stepping.problem import contacts_of
 
 
 class _Peer:
-    """Base class of the adapters. A subclass builds its world and lists its bodies in `_bodies`, in our order.
+    """Base class of the adapters. A subclass builds its world, and lists its bodies in `_bodies` in our order.
 
-    name: name of the engine. package: name of its Python module and distribution. reach: gap below which it makes a
-    contact, m.
+    name: name of the engine. package: name of its Python module and distribution. reach: gap up to which the engine
+    makes a contact, m.
     """
 
     name: str
     package: str
     reach = 0.0
     _fields: tuple[str, ...]
-    """The engine's names of position, velocity, angle, angular velocity and mass of a body."""
+    """The engine's names for position, velocity, angle, angular velocity and mass of a body."""
 
     def __init__(self, state: State):
         try:
@@ -55,24 +56,27 @@ class _Peer:
         expect(not bodies.is_fixed.any(), f"mass: expected no fixed circles for {self.name}, got {brief(bodies.mass)}")
 
     def _circles(self) -> Iterator[tuple]:
-        """(Position, velocity, angle, spin, mass, radius) of each circle, as Python floats."""
+        """Return (position, velocity, angle, spin, mass, radius) of each circle, as Python floats."""
         bodies = self._state.bodies
         vectors = (map(tuple, values.tolist()) for values in (bodies.position, bodies.velocity))
         return zip(*vectors, *(values.tolist() for values in (bodies.angle, bodies.spin, bodies.mass, bodies.radius)))
 
     def run(self, steps: int, *options) -> None:
-        """Do `steps` steps. options: of `step`."""
+        """Do `steps` steps. options: the arguments of `step`."""
         for _ in range(steps):
             self.step(*options)
 
     def bodies(self) -> Bodies:
-        """The present bodies. The masses are the engine's (float32 in Box2D), the radii ours."""
+        """Return the present bodies. The masses are the engine's (float32 in Box2D), the radii those of the state."""
         columns = [[getattr(body, name) for body in self._bodies] for name in self._fields]
         position, velocity = (np.array([tuple(xy) for xy in column]).reshape(-1, 2) for column in columns[:2])
         return check_bodies(Bodies(position, velocity, *map(np.array, columns[2:]), self._state.bodies.radius))
 
     def contact_count(self) -> int:
-        """Number of contacts at the present positions, gaps of at most `reach`, which is what engines report."""
+        """Return the number of contacts at the present positions, with gaps of at most `reach`.
+
+        `reach` is the largest gap at which the engine reports a contact.
+        """
         state, bodies, near = self._state, self.bodies(), 0.5 * self.reach
         scales = state.scales._replace(wall_skin=state.scales.wall_skin + near)
         grown = bodies._replace(radius=bodies.radius + near)
@@ -82,8 +86,8 @@ class _Peer:
 class Box2D23(_Peer):
     """Box2D 2.3 through `pybox2d` 2.3.10, the engine of the thesis.
 
-    The box is one loop shape, as in the thesis; its edges have a skin of 0.01 m. Segments are edge shapes, each on its
-    own, so their joints are felt.
+    The box is one loop shape, as in the thesis. Its edges have a skin of 0.01 m. Each segment is an edge shape of its
+    own, so that circles bump when they roll over the joint of two segments.
     """
 
     name, package = "Box2D 2.3", "Box2D"
@@ -95,7 +99,7 @@ class Box2D23(_Peer):
         self.world = b2.b2World(gravity=world.gravity, doSleep=False, continuousPhysics=False, warmStarting=True)
         material = {"friction": world.friction, "restitution": world.restitution}
         walls = b2.b2FixtureDef(shape=b2.b2LoopShape(vertices=corners(world.box)), **material)
-        # The child edge of a contact is the wall. Edges are numbered as our walls: bottom, right, top, left.
+        # In a contact, the index of the child edge is the number of the wall: bottom, right, top, left.
         self.world.CreateStaticBody(fixtures=walls).fixtures[0].userData = -1
         for s, (x_0, y_0, x_1, y_1) in enumerate(world.segments):
             edge = b2.b2FixtureDef(shape=b2.b2EdgeShape(vertices=[(x_0, y_0), (x_1, y_1)]), **material)
@@ -109,19 +113,25 @@ class Box2D23(_Peer):
             self._bodies.append(body)
 
     def step(self, dt: float, sweeps: int, position_sweeps: int) -> None:
-        """One step: `sweeps` velocity iterations, at most `position_sweeps` position iterations."""
+        """Do one step of `dt`, s, with `sweeps` velocity iterations.
+
+        position_sweeps: largest number of position iterations.
+        """
         self.world.Step(dt, sweeps, position_sweeps)
 
 
 class Pymunk(_Peer):
     """Chipmunk 2D through `pymunk`.
 
-    One iteration sweeps normal and friction rows once and corrects positions by pseudo-velocities in the
-    same pass, so `sweeps` is its `iterations`, and `position_sweeps` is ignored. Walls are set as ours are, the slop to
-    `slop` times ours, and the positional bias to the share `bias` of the penetration a step. Chipmunk multiplies
-    friction and restitution of the two shapes (where Box2D takes root and maximum), so each shape is given the root.
-    Two differences remain: restitution acts at any approach speed, and positions are integrated before contacts are
-    found.
+    An iteration of Chipmunk sweeps normal and friction rows once, and in the same pass corrects positions by
+    pseudo-velocities. `sweeps` is therefore the number of iterations, and `position_sweeps` is ignored. Walls have the
+    skin of the scene. The slop is `slop` times that of the scene. In a step the positional bias removes the share
+    `bias` of the penetration.
+
+    Chipmunk multiplies the frictions of two shapes, and their restitutions, so that each shape gets the square root of
+    the scene's value. (Box2D takes the root of the product of the frictions, and the larger restitution.) Two
+    differences remain: restitution acts at any approach speed, and positions are integrated before contacts are
+    detected.
     """
 
     name = package = "pymunk"
@@ -154,7 +164,7 @@ class Pymunk(_Peer):
         self.space.add(*body, shape)
 
     def step(self, dt: float, sweeps: int, position_sweeps: int = 0) -> None:
-        """One step of `sweeps` iterations."""
+        """Do one step of `dt`, s, with `sweeps` iterations."""
         self.space.iterations = sweeps
         self.space.step(dt)
 
@@ -164,10 +174,10 @@ class Box2D3(_Peer):
 
     Its Soft Step solver has no velocity sweeps. A step is divided into substeps, and each substep goes over all
     contacts twice: once with soft position bias ("solve") and once without ("relax"), with an integration of positions
-    in between. `sweeps` is the number of substeps here, so that a "sweep" is such a pair; contacts are found once a
-    step. `position_sweeps` is ignored. Walls are capsules of the skin's radius, because v3's segments have no radius.
-    It makes contacts ahead of touch (`B2_SPECULATIVE_DISTANCE`). hertz: stiffness of its soft contacts, Hz; the engine
-    limits it to a quarter of the rate of substeps.
+    in between. `sweeps` is the number of substeps, so that a "sweep" is such a pair of passes. `position_sweeps` is
+    ignored. Contacts are detected once a step, and before bodies touch (`B2_SPECULATIVE_DISTANCE`). Walls are capsules
+    with the radius of the skin, because segments of v3 have no radius. hertz: stiffness of the soft contacts, Hz; the
+    engine limits it to a quarter of the rate of substeps.
     """
 
     name, package = "Box2D v3", "pyb2d3"
@@ -179,7 +189,7 @@ class Box2D3(_Peer):
         self.world = b3.World(thread_pool=b3.ThreadPool(threads) if threads > 1 else None, gravity=world.gravity)
         self.world.sleeping_enabled = False
         self.world.continuous_enabled = False
-        self.world.set_contact_tuning(hertz, 10.0, 3.0)  # damping and speed of pushing apart, m/s, are the defaults
+        self.world.set_contact_tuning(hertz, 10.0, 3.0)  # damping ratio and push speed, m/s, are the defaults
         material = b3.surface_material(friction=world.friction, restitution=world.restitution)
         ground = self.world.create_static_body()
         for ends in _edges(world):
@@ -194,11 +204,11 @@ class Box2D3(_Peer):
             self._batch.append(body)
 
     def step(self, dt: float, sweeps: int, position_sweeps: int = 0) -> None:
-        """One step of `sweeps` substeps."""
+        """Do one step of `dt`, s, with `sweeps` substeps."""
         self.world.step(dt, sweeps)
 
     def bodies(self) -> Bodies:
-        """The present bodies, with Box2D's masses (float32 in all but the radius). Angles lie in (-π, π]."""
+        """Return the present bodies. The engine has all numbers but the radii in float32. Angles lie in (-π, π]."""
         batch = self._batch
         angle = np.arctan2(*batch.get_rotations().astype(np.float64).T[::-1])
         mass = np.array([body.mass for body in self._bodies])
@@ -207,7 +217,7 @@ class Box2D3(_Peer):
 
 
 ENGINES = {adapter.name: adapter for adapter in (Box2D23, Pymunk, Box2D3)}
-"""Name -> adapter."""
+"""Name of an engine -> its adapter."""
 
 
 def _at_rest(world: World) -> World:
@@ -217,6 +227,6 @@ def _at_rest(world: World) -> World:
 
 
 def _edges(world: World) -> list[tuple]:
-    """The two ends of each wall, in the order of `corners`, and of each segment."""
+    """Return the two ends of each wall, in the order of `corners`, and of each segment."""
     a, b, c, d = corners(world.box)
     return [(a, b), (b, c), (c, d), (d, a), *((ends[:2], ends[2:]) for ends in world.segments)]

@@ -1,4 +1,7 @@
-"""Runs with a setting, of our engine or of another: their states, their times, their errors over seeds."""
+"""Runs with a setting, in this package or in another engine: their states, their times, and their errors over seeds.
+
+Tests: tests/measure/test_trade.py, tests/studies/test_run_study.py
+"""
 
 from __future__ import annotations
 
@@ -19,20 +22,24 @@ from deep_contact.state.validation import expect
 from deep_contact.stepping.problem import contacts_of
 
 LONG_ENOUGH = 0.02
-"""Least time of all timings of a run together, s: a shorter run is timed several times."""
+"""Time, s, that the timings of a run should take together. A shorter run is timed up to five times."""
 
 WARM = 5
-"""Steps of a run before its time counts: the first ones load code, fill an engine's memory and find all contacts."""
+"""Number of steps before the timing of a run begins. These steps load code, fill an engine's memory and detect all
+contacts."""
 
 POSITION_SWEEPS = 10
-"""Largest number of position iterations of Box2D 2.3."""
+"""Largest number of position iterations in a step of Box2D 2.3."""
 
 ABSOLUTE = ("penetration", "penetration_95", "penetration_max")
-"""Errors that compare with zero, not with the reference."""
+"""Names of errors that are differences from 0, not from the reference."""
 
 
 def rivals(scene: State) -> tuple[list, list[str]]:
-    """(Settings of the engines that can run the scene, sentences on why the others cannot)."""
+    """Return (settings, sentences): settings of the other engines that can run the scene.
+
+    The sentences say why some engines cannot run it.
+    """
     settings, why = [], []
     for engine in peers.ENGINES:
         budgets = ((1, 4), (1, 10), (2, 4), (2, 10), (4, 2), (4, 4))
@@ -46,7 +53,7 @@ def rivals(scene: State) -> tuple[list, list[str]]:
 
 
 class Run:
-    """A run of a scene with a setting, of our engine or of another."""
+    """A run of a scene with a setting, in this package or in another engine."""
 
     def __init__(self, start: State, setting: Mapping):
         self._state, self._setting, self._world = start.replace(dt=setting["dt"]), setting, None
@@ -66,7 +73,7 @@ class Run:
             self._state = state.replace(time=state.time + steps * setting["dt"])
 
     def state(self) -> State:
-        """The present state, with contacts."""
+        """Return the present state, with contacts."""
         if self._world is None:
             return self._state
         state = self._state.replace(bodies=self._world.bodies())
@@ -74,7 +81,10 @@ class Run:
 
 
 def states_of(start: State, setting: Mapping, frames: int, interval: float) -> Iterator[State]:
-    """`frames` states of a run, one every `interval`, s. Raises ValueError if the setting's Δt does not divide it."""
+    """Yield `frames` states of a run, one every `interval`, s.
+
+    Raises ValueError if the setting's Δt does not divide `interval`.
+    """
     run, each = Run(start, setting), round(interval / setting["dt"])
     text = f"dt: expected a step that divides {interval:g} s, got {setting['dt']}"
     expect(math.isclose(each * setting["dt"], interval, rel_tol=1e-5), text)
@@ -84,10 +94,10 @@ def states_of(start: State, setting: Mapping, frames: int, interval: float) -> I
 
 
 def timed(start: State, setting: Mapping, seconds: float) -> float:
-    """Thread time of a run of `seconds` seconds of the scene in one call, s: the least of several for a short run.
+    """Return the thread time, s, of one call that advances a run by `seconds`, s, of the scene's time.
 
-    Other programs disturb thread time least. The Python wrapper of another engine counts, since its users pay for it;
-    the destruction of its world does not.
+    For a short run it is the least of several timings. Other programs disturb thread time less than wall time. The
+    Python wrapper of another engine counts, since its users pay for it. The destruction of its world does not count.
     """
     took: list[float] = []
     while len(took) < 5 and sum(took) < LONG_ENOUGH:
@@ -99,19 +109,21 @@ def timed(start: State, setting: Mapping, seconds: float) -> float:
 
 
 def row_of(setting: Mapping, step: float, ensemble: Sequence[Observation], reference: Sequence[Observation]) -> dict:
-    """A row of results: the setting, and its errors with intervals, against the reference's runs of the same scenes.
+    """Return a row of results: a setting, and its errors with intervals.
 
-    step: Δt of the scene, s.
+    step: Δt of the scene, s. ensemble, reference: observations of the setting's and the reference's runs of the same
+    scenes.
     """
     row = {"name": name_of(setting, step), "setting": dict(setting), "group": group_of(setting)}
     return row | {"seeds": len(ensemble), "errors": intervals(ensemble, reference)}
 
 
 def noise_of(half: Sequence, reference: Sequence, *, swaps: int = 20) -> dict[str, float]:
-    """Sizes of the `errors` by chance, from runs of the same scenes by the reference and by half its step.
+    """Return the sizes of the `errors` by chance, from observations of the reference and of runs with half its step.
 
-    If half the step changes nothing but chance, the two runs of a scene may be swapped. The errors between ensembles
-    with swapped pairs are then those that seeds alone make.
+    half, reference: observations of the same scenes. If half the step changes nothing but chance, the two runs of a
+    scene may be swapped. The errors between ensembles with swapped pairs are then those that seeds alone make. swaps:
+    number of random choices of the swapped pairs, over which the errors are averaged.
     """
     if len(half) < 2:
         return {}

@@ -1,4 +1,9 @@
-"""Settings of runs: mappings that JSON can hold, of a method of ours, or another engine, with options, sweeps, Δt."""
+"""Settings of runs, as mappings that JSON can store.
+
+A setting has a method of this package, or another engine, with options, a number of sweeps and Δt.
+
+Tests: tests/measure/test_trade.py, tests/scripts/test_run_tradeoff.py, tests/studies/test_run_study.py
+"""
 
 from __future__ import annotations
 
@@ -14,7 +19,10 @@ from deep_contact.state.constants import TIME_STEP
 
 
 def setting_of(solver, dt: float, start: str = "builtin") -> dict:
-    """The setting of a solver's options: those that differ from the defaults, and a tolerance if there is one."""
+    """Return the setting of a solver: its options that differ from the defaults, and its tolerance, if it has one.
+
+    dt: Δt of the runs, s. start: name of the start.
+    """
     plain = {f.name: None if f.name == "tolerance" else f.default for f in fields(solver)}
     changed = {name: value for name, default in plain.items() if (value := getattr(solver, name)) != default}
     begin = {} if start == "builtin" else {"start": start}
@@ -22,13 +30,16 @@ def setting_of(solver, dt: float, start: str = "builtin") -> dict:
 
 
 def solver_of(setting: Mapping):
-    """The solver options of a setting, with a tolerance of None unless the setting has one."""
+    """Return the solver options of a setting. The tolerance is None unless the setting has one."""
     options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start")}
     return solver_from(setting["method"], {"tolerance": None} | options)
 
 
 def name_of(setting: Mapping, step: float = TIME_STEP) -> str:
-    """Name of a setting, such as "PGS, 10 sweeps, Δt / 2" or "Box2D v3, 4 iterations, Δt / 2". step: Δt, s."""
+    """Return the name of a setting, such as "PGS, 10 sweeps, Δt / 2" or "Box2D v3, 4 iterations, Δt / 2".
+
+    step: the time step that the name calls Δt, s.
+    """
     budget, ratio = "iteration" if "engine" in setting else "sweep", step / setting["dt"]
     words = [group_of(setting), f"{setting['sweeps']} {budget}{'s' * (setting['sweeps'] != 1)}"]
     words += [f"{key}={setting[key]}" for key in setting if key not in ("engine", "method", "sweeps", "dt")]
@@ -36,29 +47,32 @@ def name_of(setting: Mapping, step: float = TIME_STEP) -> str:
 
 
 def group_of(setting: Mapping) -> str:
-    """The method of a setting, or its engine."""
+    """Return the method of a setting, or its engine."""
     return setting.get("engine") or setting["method"]
 
 
 def reference_of(numbers: SceneNumbers, stiff: Stiffness | None, finer: int = 1) -> dict:
-    """The setting that counts as a scene's limit of small steps, or one with `finer` times as many steps."""
+    """Return the setting that stands for the limit of small steps in a scene.
+
+    finer: factor on the number of its substeps; 2 halves its step.
+    """
     parts = presets.parts_for(numbers, TIME_STEP / 16)
     if stiff is None:
         return setting_of(PGS(sweeps=20, tolerance=None, substeps=finer * parts), numbers.dt)
     solver = stiff.solver(finer * parts)
-    if solver.tolerance is None:  # with few sweeps in a substep: more substeps
+    if solver.tolerance is None:  # a heap, which has few sweeps: more sweeps and substeps
         solver = replace(solver, sweeps=20, substeps=4 * solver.substeps)
     return setting_of(solver, numbers.dt)
 
 
 def settings_of_presets(numbers: SceneNumbers, stiff: Stiffness | None) -> dict:
-    """Preset -> its setting for a scene."""
+    """Return the setting of each preset for a scene, by the name of the preset."""
     chosen = {name: presets.decided(numbers, stiff, name) for name in PRESETS}
     return {name: setting_of(one.solver, numbers.dt, one.start) for name, one in chosen.items()}
 
 
 def ladder(numbers: SceneNumbers) -> list:
-    """A short ladder of settings around those of the presets."""
+    """Return a short list of settings, both cheaper and dearer than those of the presets."""
     k = presets.parts_for(numbers, TIME_STEP)
     solvers = [
         PGS(sweeps=4, tolerance=None, substeps=2 * k),

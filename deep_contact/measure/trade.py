@@ -1,4 +1,4 @@
-"""The trade of speed for accuracy on a scene of your own: what `measure_trade` returns."""
+"""`Trade`: cost and errors of settings on a user's scene. `measure_trade` returns it."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SHOWN = ("energy", "height", "penetration", "penetration_max")
-"""Errors of the study that the printed table shows, beside the user's quantities."""
+"""Errors of the study that the printed table shows, besides the user's quantities."""
 
 LARGEST_FILE = 2**30
-"""Largest file of a saved trade, bytes."""
+"""Largest size of a file of a saved trade, bytes."""
 
 REFERENCE = "reference"
-"""Name of the reference's runs among those that are observed."""
+"""Name of the reference's runs in `Trade.observed`."""
 
 
 @by_value
 @dataclass(kw_only=True, repr=False, eq=False)
 class Trade:
-    """Costs and errors of settings on a scene; `print` and notebooks show a table.
+    """Cost and errors of settings on a scene. `print` and notebooks show a table.
 
-    rows: for each setting {"name", "setting", "group": method or engine, "seeds", "us": time of a step of Δt, µs, or
-    None, "errors": name -> (value, low, high) or None}; the errors of `ERRORS` are in their units, those of quantities
-    are shares.
-    noise: name of an error -> its size by seeds alone. converged: name of an error -> its change by half the
-    reference's step. notes: sentences on the result. by_preset: preset -> name of the study's setting for it.
-    reference: the setting from which errors are measured, with small steps; not the preset of that name. half: the
-    reference with half its step.
+    rows: for each setting {"name", "setting", "group": method or engine, "seeds": number of seeds, "us": time of a step
+    of Δt, µs, or None, "errors": name -> (value, low, high) or None}; the errors of `ERRORS` are in their units, those
+    of quantities are relative.
+    noise: name of an error -> its size by the choice of seeds alone. converged: name of an error -> its change if the
+    reference's step is halved. notes: sentences on the result. by_preset: preset -> name of the setting that the study
+    chooses for it. reference: the setting with small steps, against which errors are measured; it is not the preset of
+    that name. half: the reference with half its step.
     """
 
     scene: str
@@ -63,10 +63,10 @@ class Trade:
     reference: dict
     half: dict
     quantities: list
-    digests: list  # of the scene of each seed
+    digests: list  # digest of the scene of each seed
     looks: dict = field(default_factory=dict)  # quantity -> digest of its value for the first scene
     seeds: int = 0
-    observed: dict = field(default_factory=dict)  # (name, number of the seed) -> (seconds or None, Observation)
+    observed: dict = field(default_factory=dict)  # (name of a run, index of a seed) -> (time, s, or None, Observation)
     rows: list = field(default_factory=list)
     noise: dict = field(default_factory=dict)
     converged: dict = field(default_factory=dict)
@@ -74,20 +74,21 @@ class Trade:
     cpu: str = ""
 
     def choose(self, accuracy: str | None = None, **tolerances: float):
-        """The solver of the cheapest setting whose errors stay within the tolerances.
+        """Return the solver of the cheapest setting whose errors are within the tolerances.
 
-        accuracy: the preset that has the tolerances, by default "fast". tolerances: their own values, by error.
+        accuracy: the preset that has the tolerances, by default "fast". tolerances: tolerance of each error by name, in
+        place of a preset.
 
-        Tolerances of quantities are shares: discharge=0.02. Settings that keep the tolerances at the upper ends of
-        their errors' intervals come first, then settings whose errors are within 85 % of the tolerances, then settings
-        whose errors are just within them. If no setting keeps the tolerances, the nearest is taken, with a warning. A
-        second warning says if more seeds are needed. Raises ValueError on a name that is no error of this scene, on a
-        preset beside tolerances, and if no setting was measured.
+        Tolerances of quantities are relative: discharge=0.02 means 2 %. The first choice is a setting whose errors are
+        within the tolerances even at the upper ends of their intervals. The second choice is a setting whose errors are
+        within 85 % of the tolerances, the third a setting whose errors are just within them. If there is none, the
+        nearest setting is returned, with a warning. Another warning says if more seeds are needed. Raises ValueError on
+        a name that is no error of this scene, on a preset together with tolerances, and if no setting was measured.
         """
         return solver_of(self.chosen(accuracy, **tolerances)["setting"])
 
     def chosen(self, accuracy: str | None = None, **tolerances: float) -> dict:
-        """The row of the setting that `choose` takes."""
+        """Return the row of the setting that `choose` takes."""
         mine = [row for row in self.rows if row["us"] and row["group"] not in peers.ENGINES]
         expect(mine, "trade: expected a setting that was measured, got none; see its notes")
         expect(not (accuracy and tolerances), "choose: expected a preset or tolerances, got both")
@@ -101,12 +102,15 @@ class Trade:
         limits = {name: most for name, most in limits.items() if name in known}
 
         def excess(row, at):
-            """The largest error over its tolerance. at: 0 for the error itself, 2 for the upper end of its interval."""
+            """Return the largest ratio of an error to its tolerance.
+
+            at: 0 for the error itself, 2 for the upper end of its interval.
+            """
             errors = {name: (row["errors"][name] or (math.inf,) * 3)[at] for name in limits}
             return presets.excess(errors, limits)
 
-        # First settings that keep the tolerances at the upper ends of the intervals, then settings whose errors keep
-        # them with a margin, then settings whose errors just keep them.
+        # The order of `choose`: the upper ends of the intervals are within the tolerances, then the errors with a
+        # margin, then the errors themselves.
         for at, most in ((2, 1.0), (0, presets.MARGIN), (0, 1.0)):
             if kept := [row for row in mine if excess(row, at) <= most]:
                 return min(kept, key=lambda row: row["us"])
@@ -114,13 +118,17 @@ class Trade:
         return min(mine, key=lambda row: (excess(row, 0), row["us"]))
 
     def enough(self, name: str, difference: float) -> int:
-        """The number of seeds with which chance makes at most half of a difference between errors."""
+        """Return the number of seeds with which the error by chance is at most half of `difference`.
+
+        name: name of the error. difference: difference between errors of settings, in the unit of the error.
+        """
         return math.ceil(self.seeds * (2.0 * self.noise.get(name, 0.0) / difference) ** 2)
 
     def values(self, quantity: str) -> dict[str, np.ndarray]:
-        """Name of a setting -> values of a user's quantity, (runs, T, …). The reference's name is "reference".
+        """Return the values of a user's quantity for each setting: name -> (runs, T, …).
 
-        A row is a run, in the order of the seeds; a run that ended with an error has no row.
+        The reference's name is "reference". A row is a run, in the order of the seeds; a run that ended with an error
+        has no row.
         """
         one_of("quantity", quantity, self.quantities)
         seen: dict = {name: [] for name in (*self.settings, REFERENCE)}
@@ -129,7 +137,10 @@ class Trade:
         return {name: np.array(runs) for name, runs in seen.items() if runs and not isinstance(runs[0], str)}
 
     def decide(self, scene: State) -> Decision:
-        """The `Decision` of `simulate(accuracy=trade)`: `choose()`. Raises ValueError on a scene of another Δt."""
+        """Return the `Decision` of `simulate(accuracy=trade)`, which is `choose()`.
+
+        Raises ValueError on a scene whose Δt is not that of the trade.
+        """
         expect(scene.dt == self.dt, f"accuracy: expected a scene of Δt = {self.dt:g} s, as measured, got {scene.dt:g}")
         row, count = self.chosen(), scene.bodies.count
         other = count > 2 * self.n_bodies or 2 * count < self.n_bodies
@@ -138,8 +149,11 @@ class Trade:
         return Decision(solver_of(row["setting"]), start, row["us"], stiffness(scene), (text,) if other else ())
 
     def table(self) -> list[list[str]]:
-        """A header, and a line for each setting, the cheapest first: ms a step, errors in %, the preset that it keeps,
-        its name."""
+        """Return a header, and a line for each setting, the cheapest first.
+
+        A line has the time of a step, ms, the errors, %, the tightest preset whose tolerances they keep, and the
+        setting's name.
+        """
         names = [name for name in (*SHOWN, *self.quantities) if any(row["errors"].get(name) for row in self.rows)]
         lines = [["ms a step", *names, "keeps", "setting"]]
         for row in sorted(self.rows, key=lambda row: row["us"] or math.inf):
@@ -168,9 +182,10 @@ class Trade:
         return html.shown(self._title(), [*rows, *((note,) for note in self.notes)], header=header)
 
     def plot(self, *names: str) -> Figure:
-        """The figure of errors over the time of a step: settings, their front, other engines, tolerances.
+        """Return a figure of errors against the time of a step: settings, their front, other engines and tolerances.
 
-        names: of the errors, a panel each; by default the energy, the deepest penetration and the user's quantities.
+        A setting is on the front if its error is smaller than those of all cheaper settings. names: names of errors, a
+        panel each; by default the energy, the deepest penetration and the user's quantities.
         Raises ValueError for an error that no setting has.
         """
         known = dict.fromkeys(name for row in self.rows for name, error in row["errors"].items() if error)
@@ -185,14 +200,14 @@ class Trade:
         return figure
 
     def save(self, path) -> Path:
-        """Write the trade with its observations to a JSON file. Returns its path."""
+        """Write the trade with its observations to a JSON file. Returns the path of the file."""
         stored = {f.name: getattr(self, f.name) for f in fields(self)}
         runs = [[*of, seconds, seen._asdict()] for of, (seconds, seen) in self.observed.items()]
         return write_json(path, json_data.plain(stored | {"observed": runs}))
 
 
 def load_trade(path) -> Trade:
-    """The `Trade` in a file of `Trade.save`. Raises ValueError if the file is no such file."""
+    """Return the `Trade` in a file of `Trade.save`. Raises ValueError if it is another kind of file."""
     try:
         stored = json.loads(read_bytes(path, LARGEST_FILE), parse_constant=_refused, parse_float=_finite)
         runs = stored["observed"]
@@ -202,7 +217,7 @@ def load_trade(path) -> Trade:
             value = getattr(trade, name)
             expect(isinstance(value, (kind, int) if kind is float else kind), f"{name}: {brief(value)}")
         _check_trade(trade)
-        str(trade)  # reads all rows
+        str(trade)  # raises an error if a row is wrong
         return trade
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
         raise ValueError(f"{Path(path).name}: expected a file of Trade.save, got {brief(error)}") from None
@@ -217,7 +232,7 @@ def _finite(text: str) -> float:
 
 
 def _check_trade(trade: Trade) -> None:
-    """Raise ValueError on numbers and settings that no measurement gives. Errors of rows become tuples."""
+    """Raise ValueError on numbers and settings that no measurement gives. Errors in rows become tuples."""
     number("dt", trade.dt, above=0)
     for name, least in (("n_bodies", 1), ("steps", REST), ("seeds", 0)):
         integer(name, getattr(trade, name), least=least)
@@ -232,9 +247,10 @@ def _check_trade(trade: Trade) -> None:
 
 
 def draw_plane(ax, rows: Sequence[Mapping], error: str, *, names: bool = True) -> None:
-    """Draw cost and error of settings with intervals: ours in blue with their front, other engines in grey.
+    """Draw errors with intervals against the cost of settings. Settings of this package are blue, other engines grey.
 
-    Dotted lines are the tolerances of presets. names: whether the presets' names stand at their right ends.
+    A black line is the front of the blue settings. Dotted lines are the tolerances of presets. rows: rows of a `Trade`.
+    error: name of the error. names: whether the presets' names stand at the right ends of the dotted lines.
     """
     ours = []
     for row in rows:
@@ -256,10 +272,13 @@ def draw_plane(ax, rows: Sequence[Mapping], error: str, *, names: bool = True) -
 
 
 def _percent(name: str) -> float:
-    """Factor from the unit of an error to %: 100 for errors of quantities, which are shares, and otherwise 1."""
+    """Return the factor from the unit of an error to %.
+
+    It is 100 for errors of quantities, which are relative, and otherwise 1.
+    """
     return 1.0 if name in ERRORS else 100.0
 
 
 def _text(name: str, error: float) -> str:
-    """An error as text, such as "1.2 %". The error "contacts" is a number of contacts a circle, and has no %."""
+    """Return an error as text, such as "1.2 %". The error "contacts" is in contacts per circle, and has no %."""
     return f"{error * _percent(name):.2g}{'' if name == 'contacts' else ' %'}"

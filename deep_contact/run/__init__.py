@@ -1,1 +1,1 @@
-"""Runs: of one scene, of many, and live."""
+"""Runs of one scene, runs of many scenes, and live runs that can be changed between steps."""

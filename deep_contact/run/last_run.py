@@ -1,4 +1,4 @@
-"""The run behind the state that `simulate` returned last: a call that goes on from this state takes it over."""
+"""Reuse of the last run of `simulate`, for a call that continues from the state that the call before has returned."""
 
 from __future__ import annotations
 
@@ -15,19 +15,24 @@ if TYPE_CHECKING:
     from deep_contact.run.simulator import Simulator
 
 KEPT = 20_000
-"""Most circles of a run whose memory is kept for the next call of `simulate`."""
+"""Largest number of circles of a run that is stored for the next call of `simulate`."""
 
 
 class _LastRun(threading.local):
-    """The last run of `simulate` in this thread: a call that goes on from the state that it led to takes it over.
+    """The last run of `simulate` in this thread. A call that continues from the final state of this run reuses it.
 
-    A loop of calls then pays for the checks, the preset and the engine's memory once. It is let go with its state.
+    In a loop of calls, validation, the choice of a preset and the allocation of memory are then done only once. The run
+    is deleted together with its final state.
     """
 
     kept: tuple | None = None
 
     def keep(self, run: Simulator, how: tuple) -> StateWithContacts:
-        """The state that a run has led to, from which the same arguments (`how`) go on."""
+        """Return the final state of a run, and store the run for a call that continues from this state.
+
+        how: `RunOptions.how` of the run. A run is not stored if it has a push, another start than Builtin, or too many
+        circles.
+        """
         plain = isinstance(run._start, Builtin) and run._options.push is None and isinstance(how[1], (str, type(None)))
         if not plain or run._scene.bodies.count > KEPT:
             return run._state(np.asarray)
@@ -40,7 +45,10 @@ class _LastRun(threading.local):
             self.kept = None
 
     def take(self, state: State, how: tuple) -> Simulator | None:
-        """The run that has led to this state, if it was asked in the same way, and nobody has written to the state."""
+        """Return the stored run if it has led to this state with the same options `how`. Otherwise return None.
+
+        The result is also None if someone has written into the arrays of the state.
+        """
         kept, self.kept = self.kept, None
         if kept is None or kept[0]() is not state or kept[1] != how:
             return None
@@ -57,5 +65,5 @@ _last_run = _LastRun()
 
 
 def _same_bits(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two arrays of one shape are equal. For small arrays, comparing bytes takes a tenth of the time."""
+    """Return whether two arrays of one shape are equal. For small arrays, comparing bytes takes a tenth of the time."""
     return one.tobytes() == other.tobytes() if one.size < 4096 else np.array_equal(one, other)

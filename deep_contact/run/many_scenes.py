@@ -1,4 +1,4 @@
-"""`simulate_many`: many scenes, each on its own, on all cores."""
+"""`simulate_many`: independent runs of many scenes, on all cores."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ from deep_contact.state.state import State
 from deep_contact.state.validation import expect, integer, list_of, suggesting
 
 TASKS = 16
-"""Tasks for each worker of `simulate_many(jobs=…)`. Where an executor replaces a lost worker, it repeats one task."""
+"""Number of tasks for each worker of `simulate_many(jobs=…)`. An executor that replaces a lost worker repeats one task
+only."""
 
 
 @suggesting
@@ -37,12 +38,14 @@ def simulate_many(
     threads: int | None = None,
     jobs: int | Executor | None = None,
 ) -> list[Simulation]:
-    """Run many scenes, each on its own, on all cores. Returns what `simulate` returns for each, in order, bit for bit.
+    """Run many scenes independently, on all cores. Returns a `Simulation` for each scene, in order.
 
-    Compiled steps release the interpreter's lock, so that threads run side by side.
+    Each result has the same bits as that of `simulate`. Compiled steps release the interpreter's lock, so that threads
+    run in parallel.
 
     threads: largest number of threads, by default one for each core. jobs: number of processes in place of threads, or
-    an executor, such as that of a cluster. warm_start: "builtin", None or "none", which need no Python between steps.
+    an executor, such as that of a cluster. warm_start: "builtin", None or "none", the starts that need no Python
+    between steps.
 
     The other arguments are those of `simulate`. Raises ValueError and FloatingPointError as `simulate` does, with the
     number of the state.
@@ -57,7 +60,7 @@ def simulate_many(
         forces=forces,
     )  # fmt: skip
     if jobs is not None:
-        # Several scenes a task: a scheduler takes as long for a task as a small scene takes.
+        # A task has several scenes, since scheduling a task takes as long as running a small scene.
         numbered, size = list(enumerate(states)), max(1, len(states) // (TASKS * max(1, workers(jobs))))
         tasks = [numbered[first : first + size] for first in range(0, len(states), size)]
         return [run for runs in parallel_map(partial(_some_of_many, options), tasks, jobs=jobs) for run in runs]
@@ -77,14 +80,14 @@ def simulate_many(
 
 
 def _some_of_many(options: RunOptions, numbered: list[tuple[int, State]]) -> list[Simulation]:
-    """`_one_of_many` for several states."""
+    """Return the runs of several numbered states (`_one_of_many`)."""
     return [_one_of_many(options, one) for one in numbered]
 
 
 def _one_of_many(
     options: RunOptions, numbered: tuple[int, State], stopped: threading.Event | None = None
 ) -> Simulation:
-    """`_simulate` of one of many states. Errors name the state."""
+    """Return the run of one numbered state (`_simulate`). Error messages name the number."""
     number, state = numbered
     try:
         return _simulate(state, options, stopped)

@@ -1,4 +1,7 @@
-"""How a run solves: its options, and the solver and the start that they mean for a state."""
+"""The options of a run, and the solver and the start that follow from them for a state.
+
+Tests: tests/accuracy/test_presets.py, tests/run/test_many_scenes.py
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ from deep_contact.stepping.interface import entry_of
 
 
 class RunOptions(NamedTuple):
-    """The options of `simulate`, which says what they mean; `Simulator` and `simulate_many` have some of them."""
+    """The options of a run. `simulate` describes them; `Simulator` and `simulate_many` have some of them."""
 
     steps: int = 600
     dt: float | None = None
@@ -29,25 +32,25 @@ class RunOptions(NamedTuple):
     forces: bool = False
     until: Callable | None = None
     on_step: Callable | None = None
-    is_anew: bool = False  # whether a `Simulator`, which got no solver, chooses again when its scene changes
+    is_anew: bool = False  # whether a `Simulator` without a solver argument chooses again when its scene changes
 
     @property
     def how(self) -> tuple:
-        """The options that have to be the same for a call to go on with the run of the call before (`last_run`)."""
+        """The options that two calls must share so that the second can continue the run of the first (`last_run`)."""
         return self.solver, self.accuracy, self.warm_start, self.sleep
 
 
 class Method(NamedTuple):
-    """Solver and start of a run, which `simulate` uses and `plan` prints."""
+    """Solver and start of a run. `simulate` uses them, and `plan` prints them."""
 
     solver: object  # with numbers in place of values that follow the scene
     start: WarmStart
     start_name: str
-    decision: Decision | None  # of the preset that chose the solver; None where the caller did
+    decision: Decision | None  # the choice of the preset; None if the caller or the state chose the solver
 
 
 def method_of(state: State, solver=None, start="builtin", accuracy=None, *, sleep=False) -> Method:
-    """The method of a run from this state: that of `accuracy`, of `solver`, or of the state's solver.
+    """Return the `Method` of a run from this state: by `accuracy`, by `solver`, or by the state's solver.
 
     Without any of these the solver is that of the preset "fast". Raises ValueError if the arguments do not fit each
     other.
@@ -67,17 +70,20 @@ def method_of(state: State, solver=None, start="builtin", accuracy=None, *, slee
 
 
 def _keeps_solver(state: State, accuracy) -> bool:
-    """Whether the state comes from a run under this preset. The run then keeps its solver.
+    """Return whether the state comes from a run under this preset, with the same load. Such a run keeps its solver.
 
-    Without this rule a preset could choose another solver at a later moment, when the fastest circle is slower, or a
-    dam has broken.
+    Without this rule the preset could choose another solver later in the run, when the fastest circle is slower, or
+    when a dam has broken.
     """
     came = state.step > 0 and state.solver is not None and state.load in (None, load_of(state))
     return came and isinstance(accuracy, str) and accuracy == state.preset
 
 
 def checked_solver(solver, state: State):
-    """`solver`, or the state's solver, or PGS, with numbers for this state. Raises ValueError on an unknown solver."""
+    """Return `solver`, or the state's solver, or PGS, with numbers in place of values that follow the scene.
+
+    Raises ValueError on an unknown solver.
+    """
     if solver is None:
         solver = PGS() if state.solver is None else state.solver
     entry_of(solver)

@@ -1,4 +1,4 @@
-"""Runs of one scene, `simulate` and `step`, and one solve of its contacts, `solve_contacts`."""
+"""Runs of one scene, `simulate` and `step`, and the solve of one contact problem, `solve_contacts`."""
 
 from __future__ import annotations
 
@@ -24,15 +24,16 @@ from deep_contact.stepping.prepare import ready
 from deep_contact.stepping.problem import ContactSolution, solve
 
 MOST_STEPS = 10**12
-"""Largest number of steps of a run. Its result has 40 bytes a step, so that memory ends before."""
+"""Largest number of steps of a run. The result has 40 bytes a step, so that memory limits a run before this number
+does."""
 
 
 @suggesting
 def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndarray] = "builtin") -> ContactSolution:
-    """Solve the contact problem of a state: gravity for Δt, then the impulses. The state stays as it is.
+    """Solve the contact problem of a state: apply gravity for Δt, then find the impulses. The state stays as it is.
 
-    solver: options such as `PGS(sweeps=…)`; by default the state's own. start: as `warm_start` of `simulate`, or
-    two arrays (normal, tangent), (m,) each, N·s.
+    solver: options such as `PGS(sweeps=…)`; by default the state's own. start: as `warm_start` of `simulate`, or two
+    arrays (normal, tangent), (m,) each, N·s.
     Raises ValueError on a state, solver or start that is not valid.
     """
     state = ready(state)
@@ -42,10 +43,10 @@ def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndar
 
 @suggesting
 def step(state: State, *, solver=None, warm_start: Start = "builtin") -> StateWithContacts:
-    """One step: the state Δt later, with its contacts found and the solved impulses carried over to them.
+    """Do one step. Returns the state Δt later, with its contacts detected and the solved impulses carried over to them.
 
-    For the impulses that the step solved, see `simulate`'s `on_step`. Arguments and errors as in `simulate`. A
-    `Simulator` does many steps in less time than a loop over this function.
+    The `on_step` of `simulate` has access to the impulses that the step solved. Arguments and errors are those of
+    `simulate`. A `Simulator` does many steps in less time than a loop over this function.
     """
     return simulate(state, steps=1, solver=solver, warm_start=warm_start).state
 
@@ -66,35 +67,36 @@ def simulate(
     until: Callable[[StateWithContacts], object] | None = None,
     on_step: Callable[[StateWithContacts, ConvergenceRecord], None] | None = None,
 ) -> Simulation:
-    """Run a scene for a number of steps, or go on from a state.
+    """Run a scene for a number of steps, or continue a run from its last state.
 
-    dt: time step, s, by default the state's; carried impulses are scaled by the ratio of the two.
-    solver: options such as `PGS(sweeps=…)`; by default the state's solver, or the one of accuracy="fast".
-    warm_start: None, the name of a start, a callable as in `deep_contact.warm_start`, which is called once a step, or a
-    network: one that `dc.load_model` returns, or the path of its file, "….h5".
+    dt: time step, s, by default the state's; carried impulses are scaled by the ratio of the two time steps.
+    solver: options such as `PGS(sweeps=…)`; by default the state's solver, or the solver of accuracy="fast" if the
+    state has none.
+    warm_start: the start of each solve: a name; a callable as in `deep_contact.warm_start`, which is called before each
+    step; a network from `dc.load_model`, or the path of its file, "….h5"; or None, which means impulses of 0.
     accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest
-    setting that was measured to keep the tolerances of this preset (`presets.PRESETS`) on the errors of a run; or a
+    setting that, as measured, keeps the errors of a run within the tolerances of this preset (`presets.PRESETS`); or a
     `Trade` that `measure_trade` measured on your scene. If the scene's circles are too small or too fast for its Δt,
     the step is divided into substeps. At step 0, contacts without impulses, as of positions from another source, get
-    impulses at which they rest, if there are any (`starts.impulses_at_rest`), or accurately solved ones.
-    sleep: whether an island falls asleep once it has been still for `State.scales.sleep_time` (0.5 s for circles of
-    r = 1 m), as in Box2D 2.3. It wakes when something touches it or the push on it changes (`stepping.sleeping`).
-    States do not store which circles sleep: a run that goes on from a state starts with all circles awake.
-    push: forces on the circles beside gravity, (n, 2), N, or a tuple of forces and torques, (n,), N·m; or a function of
-    the state that returns them, which is called before each step. They do not act on fixed circles.
-    record: number of steps between two recorded states; the first and the last state are recorded too, and
-    `Simulation.trajectory` has them all.
-    forces: whether to add up the impulses on walls and segments between recorded states, for `Simulation.force_on`, and
-    to keep the solved state of the step that led to each recorded state, as `Simulation.solved`.
+    impulses at which the circles rest, if there are any (`starts.impulses_at_rest`), or accurately solved impulses.
+    sleep: whether an island falls asleep once it has been still for `State.scales.sleep_time` (0.5 s for circles of r =
+    1 m), as in Box2D 2.3. It wakes when something touches it or the push on it changes (`stepping.sleeping`). States do
+    not store which circles sleep: a run that continues from a state starts with all circles awake.
+    push: external forces on the circles besides gravity, (n, 2), N, or a tuple of forces and torques, (n,), N·m; or a
+    function of the state that returns them, which is called before each step. They do not act on fixed circles.
+    record: number of steps between two recorded states. The first and the last state are recorded too.
+    `Simulation.trajectory` has the recorded states.
+    forces: whether to sum the impulses on walls and segments between recorded states, for `Simulation.force_on`, and to
+    store the solved state of the last step before each recorded state, as `Simulation.solved`.
     until: function that is called after each step with the state after it; the run ends when it returns a true value.
-    on_step: function that is called after each step with the solved state and the `ConvergenceRecord` of its sweeps,
-    which for a divided step is that of the last substep. The solved state has the bodies before the step, and the
-    contacts of the step: `normal_start` and `tangent_start` are the impulses from which they started, `normal_impulse`
-    and `tangent_impulse` their impulses in the step, summed over substeps and rebounds. Contacts that came during the
-    step are among them, at the places where they came, and with starts of 0. The change of a circle's momentum is the
-    sum of these impulses, of those of gravity and pushes, and if e > 0 of the record's `shifts`. A run that goes on
-    from such a state, with the same push, repeats the step. The arrays that `until` and `on_step` get are read-only;
-    use a `Simulator` to change a run between steps.
+    on_step: function that is called after each step with the solved state and the `ConvergenceRecord` of the step's
+    sweeps. If the step has substeps, the record is that of the last substep. The solved state has the bodies before the
+    step, and the contacts of the step. Their `normal_start` and `tangent_start` are the impulses from which the solve
+    started. Their `normal_impulse` and `tangent_impulse` are the impulses in the step, summed over substeps and
+    rebounds. Contacts that began during the step are among them, at the positions where they began, and with starting
+    impulses of 0. The change of a circle's momentum is the sum of these impulses, of those of gravity and pushes, and
+    if e > 0 of the record's `shifts`. A run that continues from such a state, with the same push, repeats the step. The
+    arrays that `until` and `on_step` get are read-only. Use a `Simulator` to change a run between steps.
     Raises ValueError on arguments that do not fit each other, and FloatingPointError if the solver diverges to
     positions that are not finite. The run can be interrupted.
     """
@@ -106,7 +108,7 @@ def simulate(
 
 
 def _simulate(state: State, options: RunOptions, stopped: threading.Event | None = None) -> Simulation:
-    """`simulate`, which ends with a KeyboardInterrupt once the event `stopped` is set."""
+    """Do `simulate` with these options. Raises KeyboardInterrupt once the event `stopped` is set."""
     record, forces, until, on_step = options.record, options.forces, options.until, options.on_step
     steps = integer("steps", options.steps, most=MOST_STEPS, hint="; Δt is dt=…")
     if record is not None:
@@ -133,7 +135,7 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
         left = min(steps - done, every - done % every)
         most = 1 if on_step is not None or until is not None else run._affordable()
         if forces and left > 1:
-            most = min(most, left - 1)  # the step that leads to a recorded state has to be a call of its own
+            most = min(most, left - 1)  # the last step before a recorded state has to be a call of its own
         is_watched = on_step is not None or (forces and (left == 1 or until is not None))
         done += run._advance(run._rows(log, done, min(left, most), is_watched), is_watched)
         if on_step is not None:

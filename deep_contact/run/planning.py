@@ -1,4 +1,4 @@
-"""Features of the model that a run of a scene uses, and those that it leaves out: `plan`, made to be printed.
+"""`plan`: a printable list of the features of the model that a run of a scene uses or leaves out.
 
 The choices are those of `simulate`. Figure 6.7 has the costs of the stages of a step.
 """
@@ -25,7 +25,7 @@ from deep_contact.stepping.prepare import ready
 
 
 class Choice(NamedTuple):
-    """Whether a run uses a feature of the model, and why."""
+    """Whether a run uses a feature of the model, and the reason in words."""
 
     used: bool
     why: str
@@ -33,10 +33,10 @@ class Choice(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """Solver, start and features of a run of a scene, made to be printed.
+    """Solver, start and features of a run of a scene. `print` shows all of them.
 
-    us: time of a step, μs, an upper bound if it is solved to a tolerance; None if the solver is that of the caller or
-    of the state. choices: name of a feature of the model -> `Choice`.
+    us: time of a step on the processor of the study, μs, an upper bound if steps are solved to a tolerance; None if no
+    preset chose the solver. choices: name of a feature of the model -> `Choice`.
     """
 
     scene: str
@@ -47,7 +47,7 @@ class Plan:
     choices: dict[str, Choice]
 
     def __getitem__(self, part: str) -> Choice:
-        """The choice of a feature, by name. Raises ValueError naming the features."""
+        """Return the `Choice` of a feature, by its name. Raises ValueError with the names of all features."""
         return self.choices[one_of("part", part, self.choices)]
 
     def _title(self) -> str:
@@ -70,9 +70,9 @@ class Plan:
 def plan(
     scene: State, *, solver=None, warm_start: Start = "builtin", accuracy: Accuracy | None = None, sleep: bool = False
 ) -> Plan:
-    """The `Plan` of a run: what `simulate` would use for a scene with these options, and what it would leave out.
+    """Return the `Plan` of a run: the features that `simulate` uses and leaves out for a scene with these options.
 
-    Nothing is simulated; contacts are found if the scene has none. Arguments as in `simulate`.
+    No step is done; contacts are detected if the scene has none. Arguments are those of `simulate`.
     Raises ValueError on arguments that do not fit each other.
     """
     scene = ready(scene)

@@ -1,4 +1,7 @@
-"""`Simulation`: what a run returns."""
+"""`Simulation`: the result of a run.
+
+Tests: tests/analysis/test_contact_forces.py, tests/stepping/test_sleeping.py
+"""
 
 from __future__ import annotations
 
@@ -21,25 +24,26 @@ from deep_contact.stepping.interface import tolerance_argument
 class Simulation(NamedTuple):
     """A finished run.
 
-    | field       | meaning                                                                                   |
-    |-------------|-------------------------------------------------------------------------------------------|
-    | state       | the `State` after the last step, ready to go on: its contacts have been found, not solved |
-    | contacts    | number of contacts solved in each step, (steps,): all but those that are asleep           |
-    | sweeps      | number of velocity sweeps in each step, (steps,); with islands, of the slowest island     |
-    | theta       | θ after the last sweep of each step, (steps,), N·s; infinite where no sweep was done      |
-    | relaxations | contacts times sweeps in each step, (steps,); with islands, summed over the islands       |
-    | substeps    | number of substeps of each step, (steps,)                                                 |
-    | recorded    | the recorded states as a `Trajectory`, which ends with `state`; None without record=…     |
-    | loads       | sum of the impulses on walls and segments until each recorded state, (T, 4 + S, 2), N·s;  |
-    |             | None without forces=True                                                                  |
-    | solved      | the solved states, as of `on_step`, of the steps that led to recorded states, as a        |
-    |             | `Trajectory`; None without forces=True                                                    |
-    | on_circles  | sum of the contact impulses on circles until each recorded state, (T, n, 2), N·s; None    |
-    |             | without moving segments, fixed circles and pushes                                         |
-    | shifts      | momentum of circles from gravity beyond m g t until each recorded state, (T, n, 2), N·s;  |
-    |             | None if e = 0, or if there are `on_circles`                                               |
+    | field       | meaning                                                                                  |
+    |-------------|------------------------------------------------------------------------------------------|
+    | state       | the `State` after the last step; its contacts are detected, but not solved               |
+    | contacts    | number of contacts solved in each step, (steps,); contacts that sleep do not count       |
+    | sweeps      | number of velocity sweeps in each step, (steps,); with islands, of the slowest island    |
+    | theta       | θ after the last sweep of each step, (steps,), N·s; infinite if no sweep was done        |
+    | relaxations | contacts times sweeps in each step, (steps,); with islands, summed over the islands      |
+    | substeps    | number of substeps of each step, (steps,)                                                |
+    | recorded    | the recorded states as a `Trajectory`, which ends with `state`; None without record=…    |
+    | loads       | sum of the impulses on walls and segments until each recorded state, (T, 4 + S, 2), N·s; |
+    |             | None without forces=True                                                                 |
+    | solved      | the solved states, as in `on_step`, of the last steps before recorded states, as a       |
+    |             | `Trajectory`; None without forces=True                                                   |
+    | on_circles  | sum of the contact impulses on circles until each recorded state, (T, n, 2), N·s; None   |
+    |             | without moving segments, fixed circles and pushes                                        |
+    | shifts      | momentum from gravity in excess of m g t until each recorded state, (T, n, 2), N·s;      |
+    |             | None if e = 0, or if there are `on_circles`                                              |
 
-    With substeps, contacts and θ are those of a step's last substep, sweeps and relaxations sums over its substeps.
+    If steps have substeps, contacts and θ are those of a step's last substep. Sweeps and relaxations are sums over its
+    substeps.
     """
 
     state: StateWithContacts
@@ -62,15 +66,16 @@ class Simulation(NamedTuple):
         return self.recorded
 
     def force_on(self, part: str, index: int | Sequence[int] | np.ndarray | None = None) -> np.ndarray:
-        """The mean contact force on a part of the scene between each recorded state and the next, (T − 1, 2), N.
+        """Return the mean contact force on a part of the scene between successive recorded states, (T − 1, 2), N.
 
         Force k is the mean from times[k] to times[k + 1] of the trajectory, over all steps and substeps, rebounds
-        included. The force on a circle is its change of momentum over time, minus gravity and pushes.
+        included. The force on a circle is its change of momentum over time, minus gravity. In scenes with moving
+        segments, fixed circles or pushes it is the sum of its contact impulses over time.
 
         part: "floor", "right", "ceiling", "left", "segment", "circle", or "wall", which stands for the four sides,
-        numbered in this order. index: of the segment, the circle or the wall, or several, whose forces are added up;
-        None if `part` names a side. Raises ValueError if no states were recorded, for walls and segments without
-        forces=True, and on an unknown part or index.
+        numbered in this order. index: index of the segment, circle or wall, or several indices, whose forces are added;
+        None if `part` is one of the four sides. Raises ValueError if no states were recorded, for walls and segments
+        without forces=True, and on an unknown part or index.
         """
         recorded, world = self.trajectory, self.state.world
         if part in SIDES:
@@ -93,7 +98,7 @@ class Simulation(NamedTuple):
 
     @property
     def status(self) -> np.ndarray:
-        """Why each step's sweeps ended, (steps,): see `ConvergenceRecord`."""
+        """Reason why the sweeps of each step ended, (steps,), as `ConvergenceRecord.status`."""
         tolerance = tolerance_argument(self.state.solver)
         cases = [self.contacts == 0, self.theta <= tolerance, (self.sweeps > 0) & ~np.isfinite(self.theta)]
         return np.select(cases, ["no_contacts", "converged", "diverged"], "max_sweeps")
@@ -102,7 +107,7 @@ class Simulation(NamedTuple):
         return f"Simulation({', '.join(self._summary().values())}, state={self.state!r})"
 
     def _repr_html_(self) -> str:
-        """HTML for notebooks: a summary of the run, and its last state."""
+        """Return HTML for notebooks: a summary of the run, and its last state."""
         return html.shown("Simulation", self._summary().items()) + self.state._repr_html_()
 
     def _summary(self) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""`Simulator`: a scene that lives."""
+"""`Simulator`: a live run, which can be changed between steps."""
 
 from __future__ import annotations
 
@@ -50,31 +50,31 @@ MOST_WORK = 20_000_000
 """Largest work of one call of compiled code, in relaxations of a contact."""
 
 SECONDS = 0.2
-"""Time that one call should take, s: Ctrl-C takes effect between calls."""
+"""Time that one call of compiled code should take, s. Ctrl-C takes effect between two calls."""
 
 
 @suggesting
 class Simulator:
-    """A live scene: it does steps, keeps the engine's memory from step to step, and can be changed between steps.
+    """A live run: it does steps when it is called, and its scene can be changed between steps.
 
-    The arguments are those of `simulate`. If a preset chose the solver, as by default, it chooses again when the scene
-    changes. Steps give the same bits one by one, in several calls and in one call. After Ctrl-C or an error the
-    simulator stands at a whole step, and can go on. Pickles hold its state.
+    The arguments are those of `simulate`. If a preset chose the solver, as by default, the preset chooses again when
+    the scene changes. The bits of the result do not depend on how steps are divided into calls. After Ctrl-C or an
+    error the simulator is at the end of a complete step, and can continue. A pickle contains its state.
 
-    | property   | meaning                                                   | shape  | unit |
-    |------------|-----------------------------------------------------------|--------|------|
-    | positions  | centres of the circles; a view, which every step changes  | (n, 2) | m    |
-    | velocities | velocities of the centres; a view as well                 | (n, 2) | m/s  |
-    | time       | time of the scene                                         |        | s    |
-    | state      | a `State` with copies of the arrays, made at each access  |        |      |
+    | property   | meaning                                                  | shape  | unit |
+    |------------|----------------------------------------------------------|--------|------|
+    | positions  | centres of the circles; a view, which every step changes | (n, 2) | m    |
+    | velocities | velocities of the centres; also a view                   | (n, 2) | m/s  |
+    | time       | time of the scene                                        |        | s    |
+    | state      | a `State` with copies of the arrays, made at each access |        |      |
 
-    The views are read-only; `set`, `add` and `remove` change the scene. To put circles elsewhere, make a new simulator
-    of a changed state: `dc.Simulator(live.state.replace(bodies=…, contacts=None))`.
+    The views are read-only. `set`, `add` and `remove` change the scene. To move circles to other positions, make a new
+    simulator from a changed state: `dc.Simulator(live.state.replace(bodies=…, contacts=None))`.
 
     Raises ValueError on arguments that do not fit each other.
     """
 
-    _has_warned = False  # of a segment that jumps
+    _has_warned = False  # whether there was a warning of a segment that jumps
     _has_warned_of_passing = False
 
     def __init__(
@@ -103,7 +103,7 @@ class Simulator:
                 done += self._advance(self._rows(make_log(count), 0, count))
 
     def show(self, steps: int = 0, *, every: int = 10) -> None:
-        """Draw the state in a notebook, do `steps` steps, and redraw the state in its place after each `every` steps.
+        """Draw the state in a notebook, then do `steps` steps. Every `every` steps a new picture replaces the last one.
 
         Raises ValueError outside of a notebook, and FloatingPointError as `step` does.
         """
@@ -139,13 +139,14 @@ class Simulator:
         self, *, gravity=None, friction=None, restitution=None, dt=None, segments=None, segment_velocities=None,
         push=None,
     ) -> None:  # fmt: skip
-        """Change the world, the time step or the push from now on. Values of None change nothing. All circles wake.
+        """Change the world, the time step or the push for the following steps. All circles wake.
 
-        Contacts keep their impulses; those with segments are matched by the segments' indices. A segment with a new
-        position jumps there, and a warning says so once; segment_velocities move it instead.
+        Arguments of None change nothing. Contacts keep their impulses. A contact with a segment stays with the segment
+        of the same index. A segment with a new position jumps there without pushing circles, and the first jump causes
+        a warning. `segment_velocities` move segments without jumps.
 
-        dt: time step, s. push: as of `simulate`; forces of 0 end it. Raises ValueError, and changes nothing, on values
-        that `World` refuses.
+        dt: time step, s. push: as in `simulate`; forces of 0 end a push. Raises ValueError, and changes nothing, on
+        values that `World` refuses.
         """
         fields = {"gravity": gravity, "friction": friction, "restitution": restitution, "segments": segments}
         if dt is None and push is None and not any(value is not None for value in fields.values()):
@@ -153,7 +154,7 @@ class Simulator:
                 return
         fields |= {"segment_velocities": segment_velocities}
         fields, state = {name: value for name, value in fields.items() if value is not None}, self.state
-        if segments is not None:  # velocities and surface speeds may be those of another number of segments
+        if segments is not None:  # old velocities and surface speeds may not fit the number of segments
             for name in ("segment_velocities", "surface_speeds"):
                 kept = getattr(state.world, name)
                 fields.setdefault(name, kept if len(kept) == len(segments) else ())
@@ -164,15 +165,15 @@ class Simulator:
                     self._has_warned = warn_of_jumps(state.world, world)
                 stays = contacts.body_b < state.bodies.count + 4 + len(world.segments)
                 contacts = Contacts(*(values[stays] for values in contacts))
-            # A preset decides anew, since the speed of a segment may make it divide the step.
+            # A preset chooses the solver again, since a faster segment may need more substeps.
             state = replace(state, world=world, contacts=contacts, preset=None)
         self._change(state if dt is None else with_time_step(state, dt), push)
 
     def _set_velocities(self, segment_velocities) -> bool:
-        """Set the velocities of the segments in place, which takes less time than `_change`, if that is possible.
+        """Set the velocities of the segments in place, if possible. This is faster than `_change`.
 
-        It is possible if the same segments move as before. With a preset, no segment may be faster than when the preset
-        chose the solver. Returns whether the velocities were set.
+        It is possible if the same segments move as before. If a preset chose the solver, there is a second condition:
+        no segment may be faster than at the time of this choice. Returns whether the velocities were set.
         """
         actuation, world = self._inputs.actuation, self._scene.world
         most = LIMITS["world.segment_velocities"][1]
@@ -191,7 +192,7 @@ class Simulator:
         return True
 
     def add(self, bodies: Bodies) -> np.ndarray:
-        """Add circles behind the others (`State.with_bodies`). All circles wake. Returns indices of the new circles.
+        """Append circles to the bodies (`State.with_bodies`). All circles wake. Returns the indices of the new circles.
 
         A constant push has forces of 0 on the new circles.
         """
@@ -200,9 +201,10 @@ class Simulator:
         return np.arange(first, self._scene.bodies.count)
 
     def remove(self, which: Sequence | np.ndarray) -> np.ndarray:
-        """Remove circles, by their indices or by a flag for each (`State.with_bodies`). All circles wake.
+        """Remove circles (`State.with_bodies`). All other circles wake.
 
-        Returns the new index of each circle of before, (n,); −1 for removed circles.
+        which: indices of circles, or a flag for each circle. Returns the new index of each old circle, (n,), or −1 if
+        it was removed.
         """
         n = self._scene.bodies.count
         gone, index = checked_indices("remove", which, n), np.full(n, -1)
@@ -217,7 +219,10 @@ class Simulator:
         return f"Simulator({self.state!r})"
 
     def _change(self, state: State, push=None) -> None:
-        """Go on from another state. push: the new push; None keeps a function, and otherwise takes the state's push."""
+        """Continue from another state.
+
+        push: the new push. With None, a push that is a function stays; otherwise the push is that of the state.
+        """
         if push is None:
             push = self._options.push if callable(self._options.push) else state.push
         options = self._options._replace(push=push)
@@ -226,7 +231,7 @@ class Simulator:
         self._go_on(*prepared)
 
     def _go_on(self, state: StateWithContacts, start: WarmStart) -> None:
-        """Go on from a state that is ready, with its solver."""
+        """Continue from a validated state that has a solver and starting impulses (`_prepared`)."""
         solver, n, sleep = state.solver, state.bodies.count, self._options.sleep
         bodies, contacts = Bodies(*map(np.copy, state.bodies)), Contacts(*map(np.copy, state.contacts))
         if isinstance(start, NoStart):
@@ -237,8 +242,8 @@ class Simulator:
         kind = solver, sleep, isinstance(start, NoStart)
         if self._steps is None or kind != self._kind or not np.array_equal(bodies.radius, self._scene.bodies.radius):
             self._steps = Steps(solver, n, sleep=sleep, carry=not isinstance(start, NoStart))
-            # Allocated before the arrays of results, which lie above: its release leaves no gap at the top of the heap,
-            # which Linux would take.
+            # The memory is allocated before the arrays of results, which then lie above it on the heap. Its release
+            # thus leaves no free space at the top of the heap, which Linux would take back.
             self._steps.memory(inputs, contacts.count)
         self._steps.wake()
         self._kind, self._start, self._scene, self._scales, self._inputs = kind, start, scene, scales, inputs
@@ -266,24 +271,30 @@ class Simulator:
         self._seen: tuple = ()  # arguments of `on_step` for the last watched step
 
     def _affordable(self) -> int:
-        """The number of steps that a call may do: 1 if the start or the push needs Python between two steps."""
+        """Return the number of steps that one call of compiled code may do.
+
+        It is 1 if the start or the push is a Python function, which is called between two steps.
+        """
         if self._asks_between:
             return 1
         return 1 + self._work // (10 * len(self._views[0]) + 50)
 
     def _rows(self, log: StepLog, first: int, count: int, is_watched: bool = False) -> StepLog:
-        """`count` rows of a log from `first` on, as the log of a call."""
+        """Return `count` rows of a log, from row `first` on, as the log of one call.
+
+        is_watched: whether the call is a single step whose impulses are logged.
+        """
         return some_steps(log, first, count, self._work, is_watched and not self._is_one_solve)
 
     def _one_step(self) -> StepLog:
-        """A log of one step, whose arrays the next step uses again."""
+        """Return a log for one step. The next call of this function returns the same arrays."""
         log = self._log
         log.sweeps[0] = log.relaxations[0] = log.substeps[0] = log.progress[DONE] = 0
         log.progress[WORK] = self._work
         return log
 
     def _state(self, taken) -> StateWithContacts:
-        """The present state. taken: the function that copies or views each array of the bodies for the caller."""
+        """Return the present state. taken: function that copies or views each array of the bodies for the caller."""
         contacts, step, time, solved = self._now
         bodies, contacts = Bodies(*map(taken, self._scene.bodies)), Contacts(*map(np.ndarray.copy, contacts))
         push = None if callable(self._options.push) else self._scene.push
@@ -292,12 +303,15 @@ class Simulator:
         return changed(state, load=load_of(state))
 
     def _world(self) -> World:
-        """The world with its segments at their present positions."""
+        """Return the world with its segments at their present positions."""
         world = self._scene.world
         return replace(world, segments=self._inputs.segments.line[:, :4]) if world.segment_velocities else world
 
     def _advance(self, log: StepLog, is_watched: bool = False) -> int:
-        """Do at most as many steps as the log has rows; after an error no step is done. Returns their number."""
+        """Do at most as many steps as the log has rows. Returns the number of steps.
+
+        An error undoes all steps of the call.
+        """
         before = self._now
         for kept, array in zip(self._kept, self._moved):
             kept[...] = array
@@ -310,7 +324,7 @@ class Simulator:
                     np.copyto(array, kept)
                 names = "normal_impulse", "tangent_impulse"
                 contacts = before.contacts._replace(**dict(zip(names, impulses)))
-                # In other arrays than those that the lost steps have written.
+                # New arrays, since the undone steps have written into the old arrays.
                 self._now = before._replace(contacts=Contacts(*map(np.copy, contacts)))
             raise
 
@@ -330,7 +344,7 @@ class Simulator:
                 log = log._replace(shifts=np.zeros((scene.bodies.count, 2)))
         begun = time.perf_counter()
         following, pair_impulses = self._steps(inputs, contacts, log, problem)
-        if len(log.contacts) > 1:  # how a run is divided changes no bit of it
+        if len(log.contacts) > 1:  # the number of steps in a call changes no bit of the result
             seconds = time.perf_counter() - begun
             self._work = min(MOST_WORK, 2 * self._work, 1 + int(self._work * SECONDS / seconds))
         done = int(log.progress[DONE]) // inputs.substeps
@@ -343,7 +357,7 @@ class Simulator:
                 f"up to step {step}: a moving segment passes over circle {log.progress[PASSED] - 1}, which what rests "
                 "holds in its way; more warnings of this kind are left out"
             )
-        # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
+        # Time is computed from the number of steps. A sum of Δt would depend on the division of a run into calls.
         is_even = origin.time == origin.step * dt
         now = step * dt if is_even else origin.time + (step - origin.step) * dt
         if is_watched:
@@ -360,7 +374,12 @@ class Simulator:
         return done
 
     def _start_from_python(self, contacts: Contacts) -> tuple[Contacts, StepProblem | None]:
-        """The contacts with the impulses of a start in Python, and their problem, if built. Also updates the push."""
+        """Return (contacts, problem): the contacts with the impulses of a start in Python, and the contact problem or
+        None.
+
+        The contact problem is returned if the start has built it. If the push is a function, it is called here, and its
+        forces replace those of the last step.
+        """
         push, solver, problem = self._options.push, self._scene.solver, None
         if callable(push):
             self._push = force, torque = checked_push(push(read_only(self.state)), self._scene.bodies.count)
@@ -375,7 +394,10 @@ class Simulator:
 
 
 class _Now(NamedTuple):
-    """Moment of a `Simulator`, in one value, so that an interrupt finds it before a step or after it."""
+    """Contacts, number of steps, time (s) and `State.solved` of a `Simulator` at one time.
+
+    A step replaces them by one assignment, so that an interrupt finds the values before the step or after it.
+    """
 
     contacts: Contacts
     step: int
@@ -384,7 +406,7 @@ class _Now(NamedTuple):
 
 
 def _restored(state: StateWithContacts, start: WarmStart, options: RunOptions) -> Simulator:
-    """A `Simulator` that goes on from the state of another."""
+    """Return a `Simulator` that continues from the state of a pickled simulator."""
     simulator = Simulator.__new__(Simulator)
     simulator._options, simulator._steps = options, None
     simulator._go_on(state, start)
@@ -400,7 +422,10 @@ def _raise_diverged(bodies: Bodies, step: int) -> None:
 
 
 def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, WarmStart]:
-    """(State, start) at the start of a run: the state is validated, with its solver and the impulses it starts from."""
+    """Return (state, start) for the beginning of a run.
+
+    The state is validated, and has the solver of the run and its starting impulses.
+    """
     first, state = state, ready(state)
     accuracy, push = options.accuracy, options.push
     constant = None if push is None or callable(push) else checked_push(push, state.bodies.count)
@@ -411,7 +436,7 @@ def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, War
     solver, start, _, decision = method_of(chosen_for, *how, sleep=options.sleep)
     for sentence in decision.warnings if decision else ():
         warn(sentence, PresetWarning)
-    # Not for a run that goes on, so that a run has the same result in one call and in several.
+    # Only at the beginning of a run, so that a run has the same result in one call and in several calls.
     if decision and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
         state = with_a_past(state)
     elif has_new_load(state):
@@ -419,6 +444,6 @@ def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, War
         state = state if isinstance(start, NoStart) else with_new_load(state, solver)
     if state.solver is not None:
         state = with_shifted_flights(state, state.dt / state.solver.substeps - state.dt / solver.substeps)
-    # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
+    # A solved state is solved again from its starting impulses. A resumed run thus repeats the steps of the first run.
     preset = accuracy if isinstance(accuracy, str) else state.preset if solver == state.solver else None
     return changed(state, solver=solver, preset=preset), start

@@ -1,4 +1,4 @@
-"""A recorded run: its states as arrays over time, its file (`deep_contact.io.simulation_h5`), and its films."""
+"""`Trajectory`: the recorded states of a run as arrays over time, with its file and its films."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ if TYPE_CHECKING:
     from deep_contact.state.world import World
 
 MOST_SHOWN = 200_000
-"""Largest number of circles, over all states, of the page in a notebook, which stores the page: some 2 MB."""
+"""Largest number of circles, summed over all states, on the page of a run in a notebook. The notebook stores this page,
+about 2 MB."""
 
 
 def _array(*names: str) -> property:
-    """A property: the run's array of this name, or its arrays as columns of one."""
+    """Return a property: the stored array of this name, or, for several names, one array with a column for each."""
 
     def get(self: Trajectory) -> np.ndarray:
         arrays = [self.stored.arrays[name] for name in names]
@@ -36,40 +37,44 @@ def _array(*names: str) -> property:
 @by_value
 @dataclass(frozen=True, repr=False, eq=False)
 class Trajectory:
-    """T states of one run of n circles, with M contacts in all. `len`, indexing and iteration give its states.
+    """T states of one run of n circles, with M contacts in all. `len`, indexing and iteration refer to the states.
 
-    | property   | meaning                                              | shape     | unit   |
-    |------------|------------------------------------------------------|-----------|--------|
-    | times      |                                                      | (T,)      | s      |
-    | positions  | centres                                              | (T, n, 2) | m      |
-    | velocities | velocities of the centres                            | (T, n, 2) | m/s    |
-    | angles     | orientations, counter-clockwise                      | (T, n)    | rad    |
-    | spins      | angular velocities                                   | (T, n)    | rad/s  |
-    | offsets    | state i has contacts offsets[i] to offsets[i + 1]    | (T + 1,)  | –      |
-    | pairs      | body_a and body_b of each contact                    | (M, 2)    | –      |
-    | impulses   | λ_n and λ_t of each contact                          | (M, 2)    | N·s    |
-    | energies   | kinetic and potential energy                         | (T, 2)    | J      |
+    | property   | meaning                                                   | shape     | unit  |
+    |------------|-----------------------------------------------------------|-----------|-------|
+    | times      | times of the states                                       | (T,)      | s     |
+    | positions  | centres                                                   | (T, n, 2) | m     |
+    | velocities | velocities of the centres                                 | (T, n, 2) | m/s   |
+    | angles     | orientations, counter-clockwise                           | (T, n)    | rad   |
+    | spins      | angular velocities                                        | (T, n)    | rad/s |
+    | offsets    | state i has the contacts offsets[i] to offsets[i + 1] − 1 | (T + 1,)  | –     |
+    | pairs      | body_a and body_b of each contact                         | (M, 2)    | –     |
+    | impulses   | λ_n and λ_t of each contact                               | (M, 2)    | N·s   |
+    | energies   | kinetic and potential energy                              | (T, 2)    | J     |
 
-    Arrays are those of the run, not copies; the state `run[i]` has read-only copies. Potential energy is zero at the
-    origin.
+    Times, positions, velocities, angles, spins and offsets are the arrays of the run, not copies. The state `run[i]`
+    has read-only copies. Potential energy is 0 at the origin.
     """
 
     stored: StoredSimulation
-    """The content of the run's file."""
+    """The content of the run's file (`io.simulation_h5`)."""
 
     @classmethod
     def from_states(cls, states: Iterable[State], *, work=None) -> Trajectory:
-        """A run from its states, in the order of time, with contacts.
+        """Make a run from its states, in the order of time, with contacts.
 
         work: work of moving segments, fixed circles and pushes until each state, (T,), J, or None. Raises ValueError
-        naming state and field, also if the number of circles changes: `dc.film` shows such states.
+        naming state and field, also if the number of circles changes. `dc.film` shows states with different numbers of
+        circles.
         """
         from deep_contact.io.simulation_h5 import pack_simulation
 
         return cls(pack_simulation(states, work=work))
 
     def save(self, path) -> None:
-        """Write the run to an HDF5 file, whole or not at all. Raises OSError if the file cannot be written."""
+        """Write the run to an HDF5 file. On an error there is no partial file.
+
+        Raises OSError if the file cannot be written.
+        """
         from deep_contact.io.files import write_bytes
         from deep_contact.io.simulation_h5 import simulation_file
 
@@ -90,7 +95,10 @@ class Trajectory:
         return f"Trajectory({self.positions.shape[1]} circles, {len(self)} states, {t[0]:g} to {t[-1]:g} s, {contacts})"
 
     def _repr_html_(self) -> str:
-        """HTML for notebooks: the page that plays the run, with at most `MOST_SHOWN` circles over all its states."""
+        """Return HTML for notebooks: a page that plays the run.
+
+        States are left out so that the page has at most `MOST_SHOWN` circles, summed over its states.
+        """
         from deep_contact.plot.player import page
 
         circles = self.positions.shape[1]
@@ -126,11 +134,11 @@ class Trajectory:
 
     @property
     def dissipated(self) -> np.ndarray:
-        """The energy that contacts took from the circles between each state and the next, (T − 1,), J.
+        """Energy that contacts dissipate between successive states, (T − 1,), J.
 
-        It is the work less the change of energy. Energy that belts and position correction give counts as negative. The
-        kinetic energy is that of half a substep before the positions (symplectic Euler is a leapfrog); this is allowed
-        for, so that free flight dissipates nothing.
+        It is the work minus the change of energy. Energy that belts and position correction add counts as negative.
+        Velocities belong to a time half a substep before that of the positions, since symplectic Euler is a leapfrog.
+        The energies are corrected for this difference, so that free flight dissipates nothing.
         """
         header = self.stored.header
         solver = header["solver"]
@@ -139,7 +147,10 @@ class Trajectory:
         return np.diff(self.work - self.energies.sum(axis=1) - late)
 
     def table(self) -> dict[str, np.ndarray]:
-        """Columns with a row for each circle at each time, (T n,) each: time, circle, and those of `Bodies.table`."""
+        """Return columns with a row for each circle at each time, (T n,) each.
+
+        They are time, circle, and the columns of `Bodies.table`.
+        """
         count, n = self.positions.shape[:2]
         of_circles = {name: np.tile(self.stored.arrays[name], count) for name in ("mass", "radius")}
         return {
@@ -150,13 +161,14 @@ class Trajectory:
         }  # fmt: skip
 
     def film(self, path, *, fps: float | None = None, size: int | None = None, every: int = 1, colour=None) -> Path:
-        """Write a page that plays the run, or a film of it. Returns its path.
+        """Write a page that plays the run, or a film of the run. Returns the path of the file.
 
-        path: file with the ending .html, which any browser plays without a network; .gif; or .mp4, which needs ffmpeg,
-        or the package imageio-ffmpeg. every: 1 shows each state, 2 each second state, and so on. fps: states of
-        a film a second, by default 25. size: longer side of the box in a film, pixels, by default 640. A page takes
-        neither fps nor size, since it plays at the run's own speed and fits its window. colour: a number for each
-        circle in each state, (T, n), for a page, which also has speed, radius, material and index as colours.
+        path: file with the ending .html for a page, which any browser plays without a network; with .gif for a film; or
+        with .mp4 for a film, which needs ffmpeg or the package imageio-ffmpeg. every: 1 shows each state, 2 every
+        second state, and so on. fps: number of states a second in a film, by default 25. size: longer side of the box
+        in a film, pixels, by default 640. A page takes neither fps nor size, since it plays at the run's own speed and
+        fits its window. colour: a number for each circle in each state, (T, n), by which a page colours the circles. A
+        page can also colour them by speed, radius, material and index.
         Raises ValueError for another ending, for numbers that do not fit, for a run that is too large for a page, and
         if ffmpeg is missing. Raises OSError if the file cannot be written.
         """
@@ -167,10 +179,10 @@ class Trajectory:
 
 
 def film(states: Iterable[State], path, *, fps: float | None = None, size: int | None = None, colour=None) -> Path:
-    """Write a page or a film of states, whose circles and segments may differ in number and place.
+    """Write a page or a film of states. Their circles and segments may differ in number and position.
 
-    Pages and films show the box of the first state. Forces are impulses over Δt: for states of `run.solved` the mean
-    over each step, for other states that of the last substep (`dc.forces`).
+    Pages and films show the box of the first state. Forces are impulses over Δt. For states of `Simulation.solved` they
+    are means over a step. For other states they are those of the last substep (`dc.forces`).
 
     colour: numbers for the circles of each state, (n,) each.
 
@@ -195,7 +207,7 @@ def film(states: Iterable[State], path, *, fps: float | None = None, size: int |
 
 
 def load_trajectory(path) -> Trajectory:
-    """The run in a file of `Trajectory.save`, or of a data set.
+    """Return the run in a file of `Trajectory.save` or in a file of a data set.
 
     Raises DataFileError naming file, field and value, and OSError if the file cannot be opened.
     """

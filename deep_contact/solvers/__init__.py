@@ -1,4 +1,4 @@
-"""The solvers, one file each: options with their weakness and source, the compiled loop, the registration."""
+"""The solvers, one file each: the options with their source and weakness, the compiled loop, and the registration."""
 
 # The order of the imports is the order of `METHODS`.
 # isort: off

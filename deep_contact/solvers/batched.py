@@ -1,4 +1,7 @@
-"""Projected Gauss-Seidel in batches of contacts that share no circle, eight at a time (`solvers.batches`)."""
+"""Projected Gauss-Seidel over batches of contacts that share no circle. Eight contacts are relaxed at a time.
+
+`solvers.batches` has the data structure: a plan of the batches, and tiles of eight contacts.
+"""
 
 from __future__ import annotations
 
@@ -42,12 +45,12 @@ from deep_contact.stepping.substeps import divide_by_motion, fly_on
 
 @dataclass(frozen=True, kw_only=True)
 class BatchedPGS(SolverOptions):
-    """Projected Gauss-Seidel in batches of contacts that share no circle, eight at a time: for large scenes.
+    """Projected Gauss-Seidel for large scenes, over batches of contacts that share no circle, eight contacts at a time.
 
-    The options are those of every solver (`SolverOptions`). Position correction goes in the same batches.
+    The options are those of every solver (`SolverOptions`). Position correction uses the same batches.
 
-    Weakness: the order of the contacts is not that of the list, so it may need more sweeps than PGS. Finding the
-    batches takes time in each step in which contacts have changed, which a few sweeps do not repay.
+    Weakness: contacts are not swept in the order of the list, so the solver may need more sweeps than PGS. In each step
+    in which the list of contacts has changed, the batches are found anew. A few sweeps do not repay this time.
     """
 
 
@@ -56,7 +59,11 @@ BatchSettings = namedtuple("BatchSettings", ["tolerance"])
 
 @njit(cache=True, fastmath=CONTRACT)
 def sweep_tiles(tiles, first, last, friction):
-    """`rows.sweep` over the tiles from `first` to before `last`, in place. Returns θ, N·s."""
+    """Do a sweep of Projected Gauss-Seidel over the tiles from `first` to before `last`, in place. Returns θ, N·s.
+
+    It is `rows.sweep` for eight contacts at a time. tiles: `Tiles`. friction: Coulomb's μ. θ is the largest change of
+    an impulse.
+    """
     body, data, impulse, solver_bodies = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies
     mu, none = spread(friction), spread(0.0)
     theta = none
@@ -90,7 +97,7 @@ def sweep_tiles(tiles, first, last, friction):
 
 @njit(cache=True)
 def sweep_blocks(plan, tiles, friction):
-    """One sweep over all tiles, in place. Returns θ."""
+    """Do one sweep over all tiles of a plan, in place. Returns θ, the largest change of an impulse, N·s."""
     theta = 0.0
     for k in plan.order[: plan.count[BLOCKS]]:
         theta = max(theta, sweep_tiles(tiles, plan.first[k], plan.first[k + 1], friction))
@@ -99,7 +106,10 @@ def sweep_blocks(plan, tiles, friction):
 
 @njit(cache=True)
 def correct_blocks(plan, tiles, scales):
-    """One sweep of position correction over all tiles, in place. Returns the deepest separation, m."""
+    """Do one sweep of position correction over all tiles of a plan, in place.
+
+    Returns the smallest separation before the corrections, m, or 0 if no contact penetrates.
+    """
     body, data, centre, first, deepest = tiles.body, tiles.data, tiles.centre, plan.first, 0.0
     for k in plan.order[: plan.count[BLOCKS]]:
         deepest = min(deepest, correct_tiles(body, data, ARM_B + 1, centre, first[k], first[k + 1], scales))
@@ -108,7 +118,10 @@ def correct_blocks(plan, tiles, scales):
 
 @njit(cache=True)
 def relax_tiles(settings, plan, tiles, friction, theta):
-    """Projected Gauss-Seidel in batches, in place on the tiles; fills θ. Returns the number of sweeps."""
+    """Do sweeps over all tiles of a plan, in place, until θ is within the tolerance. Returns the number of sweeps.
+
+    settings: `BatchSettings`. theta: buffer for θ of each sweep, N·s; its length is the largest number of sweeps.
+    """
     for k in range(theta.shape[0]):
         theta[k] = sweep_blocks(plan, tiles, friction)
         if is_over(theta[k], settings.tolerance):
@@ -118,7 +131,10 @@ def relax_tiles(settings, plan, tiles, friction, theta):
 
 @njit(cache=True)
 def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
-    """`relax_tiles` for the rows of a single solve, with a plan and tiles of its own."""
+    """Relax the rows of a single solve by `relax_tiles`, with a plan and tiles made for these rows.
+
+    Arguments and result are those of `Loop.relax` (`stepping.interface`).
+    """
     m, n = rows.body.shape[0], solver_bodies.shape[0] - 4
     pairs = rows.body.astype(np.int64)
     plan = batches.plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, batches.make_plan(n, m))
@@ -130,7 +146,11 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
 
 @njit(cache=True, error_model="numpy")
 def correct_positions_in_batches(plan, tiles, bodies, scales, sweeps):
-    """`position_correction.correct_positions` over the tiles of the plan."""
+    """Correct positions over the tiles of a plan, as `position_correction.correct_positions` does. Bodies move in
+    place.
+
+    sweeps: largest number of sweeps.
+    """
     centre = tiles.centre[: bodies.mass.shape[0]]
     fill_centres(bodies, centre)
     for _ in range(sweeps):
@@ -144,7 +164,7 @@ class _BatchWorkspaceType(StructureType):
 
 
 class BatchWorkspace(Structure):
-    """Workspace of steps in batches. A step replaces a field that does not fit its contacts.
+    """Workspace that each step of a run passes to the next step. A step replaces fields that do not fit its contacts.
 
     | field  | meaning                                 |
     |--------|-----------------------------------------|
@@ -166,7 +186,12 @@ def make_batch_workspace(context, contacts):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance_in_batches(context, contacts, workspace, log, actuation):
-    """`algorithm.advance` for `BatchedPGS`. workspace: `BatchWorkspace`, which each call passes on to the next."""
+    """Do steps as `algorithm.advance` does, with the solver `BatchedPGS`. Bodies move in place.
+
+    context: `StepContext`. contacts: `Contacts` at the start. workspace: `BatchWorkspace`, changed in place and passed
+    to the next call. log: `StepLog`, filled in place. actuation: `Actuation` of the steps, or None. Returns the
+    contacts at the end, and `StepLog.pair_impulses`.
+    """
     step = context.step
     begin_steps(context, contacts, log, actuation)
     for j in range(log.progress[DONE], step.substeps * log.contacts.shape[0]):
@@ -188,13 +213,17 @@ def advance_in_batches(context, contacts, workspace, log, actuation):
 
 @njit(inline="always")
 def do_substep_in_batches(context, workspace, log, actuation):
-    """`algorithm.do_substep` in batches: velocities, positions, and the contacts of the next substep, all in place."""
+    """Do a substep as `algorithm.do_substep` does, but over batches of contacts.
+
+    It computes velocities, positions, and the contacts of the next substep, all in place. Arguments are those of
+    `advance_in_batches`.
+    """
     substep, options, memory, solved = context.substep, context.options, context.memory, context.contacts
     bodies, segments, scales, n = substep.bodies, substep.segments, substep.scales, substep.bodies.mass.shape[0]
     cells, is_built, theta = memory.cells, memory.is_built, memory.theta
     plan_batches_of(solved, n, workspace)
     plan, tiles = workspace.plan, workspace.tiles
-    # Velocities: rebounds, forces, tiles, and the impulses that solve them.
+    # Velocities: rebounds, external forces, rows in tiles, and the sweeps that solve the rows.
     velocities = tiles.solver_bodies[:n]
     if is_built:
         take_velocities(memory.solver_bodies, velocities)
@@ -208,7 +237,7 @@ def do_substep_in_batches(context, workspace, log, actuation):
         theta[sweeps - 1] = np.nan
     for block in range(plan.count[BLOCKS]):
         batches.store_block(plan, tiles, solved, block, substep.substeps)
-    # Positions: of segments and of circles, and position correction.
+    # Positions: segments and circles move, and position correction follows.
     if actuation is not None:
         log_work(substep, solved, velocities, log)
         batches.move_points(plan, tiles, substep.dt)
@@ -219,7 +248,8 @@ def do_substep_in_batches(context, workspace, log, actuation):
     log_substep(log, context.row, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
     if is_asked(log):
         log_pairs(context, log, solved, impulses_of(solved, 1.0 / substep.substeps))
-    # The contacts of the next substep. Logs and impacts read the geometry of all contacts, tiles that of walls.
+    # Contacts of the next substep. Logs and impacts need the geometry of all contacts; tiles need that of contacts
+    # with walls and segments only.
     context.buffer = 1 - context.buffer
     least = 0 if substep.restitution > 0.0 or is_asked(log) or actuation is not None else n
     position, radius, walls = bodies.position, bodies.radius, walls_of(substep)
@@ -239,7 +269,10 @@ def do_substep_in_batches(context, workspace, log, actuation):
 
 @njit(cache=True)
 def take_velocities(solver_bodies, velocities):
-    """Copy the velocities of solver bodies, in place. The loop compiles in less time than a slice."""
+    """Copy the velocities of the solver bodies into `velocities`, (n, 4), in place.
+
+    This loop compiles faster than a slice.
+    """
     for i in range(velocities.shape[0]):
         for c in range(velocities.shape[1]):
             velocities[i, c] = solver_bodies[i, c]
@@ -256,7 +289,11 @@ def plan_batches_of(contacts, n, workspace):
 
 @njit(cache=True, error_model="numpy")
 def start_blocks(step, contacts, plan, tiles, rows, is_built, actuation):
-    """Fill the rows of all blocks and apply their starting impulses, block by block, in place on the tiles."""
+    """Fill the rows of all blocks and apply their starting impulses, block by block, in place on the tiles.
+
+    step: `StepInput`. rows: `Rows` built before, which are copied if `is_built` is True. actuation: `Actuation`, or
+    None.
+    """
     for k in plan.order[: plan.count[BLOCKS]]:
         batches.place_block(step, contacts, plan, tiles, k, actuation)
         if is_built:
@@ -268,13 +305,13 @@ def start_blocks(step, contacts, plan, tiles, rows, is_built, actuation):
 
 
 class _Run:
-    """`algorithm.advance` for one run of `BatchedPGS`, with its workspace."""
+    """A function in place of `algorithm.advance` for one run of `BatchedPGS`. It holds the workspace of the run."""
 
     def __init__(self, solver: BatchedPGS):
         self._workspace, self._plain, self._actuated = None, Direct(advance_in_batches), Direct(advance_in_batches)
 
     def __call__(self, context, contacts, motion, sleep, log, actuation):
-        """Arguments and result are those of `algorithm.advance`."""
+        """Do steps. Arguments and result are those of `algorithm.advance`."""
         if self._workspace is None:
             self._workspace = make_batch_workspace(context, contacts)
         run = self._plain if actuation is None else self._actuated

@@ -1,15 +1,18 @@
-"""Batches of contacts that share no circle, in tiles of eight: the data structure of `solvers.batched`.
+"""The data structure of `solvers.batched`: batches of contacts that share no circle, stored in tiles of eight contacts.
 
-In a sweep of `contact_solver`, each contact has to wait for the velocities that the contact before it writes. In a
-batch no circle occurs twice, so that eight contacts are one vector operation (`compiled.simd`). Walls never move, so
-contacts of a batch may share them.
+In a sweep of `stepping.rows`, each contact waits for the velocities that the contact before it writes. No circle occurs
+twice in a batch, so that one vector operation relaxes eight of its contacts (`compiled.simd`). Contacts of a batch may
+share a wall, because no impulse changes the velocity of a wall.
 
-The list of contacts is cut into blocks of `BLOCK`, and each block is coloured greedily: a batch is a colour of a block.
-Blocks are relaxed phase by phase; the blocks of a phase share no circle. This order is a part of the result: with more
-than two blocks, relaxing them in the order of the list gives other bits.
+The list of contacts is divided into blocks of `BLOCK` contacts, and the contacts of each block are coloured greedily.
+The contacts of one colour in a block are a batch. Blocks are relaxed phase by phase, and the blocks of a phase share no
+circle. This order is part of the result: with more than two blocks, the order of the list gives other bits.
 
-A batch is stored as tiles of eight contacts; its last tile is padded with contacts of the idle body with itself. A
-block has five bodies of its own beside the circles: the four walls and the idle body.
+A batch is stored as tiles of eight contacts. In each unused lane of its last tile, the idle body touches itself. The
+idle body has no inverse mass, so that such a contact changes nothing. Each block has five bodies of its own besides the
+circles: the four walls and the idle body.
+
+Tests: tests/solvers/test_batched.py
 """
 
 from __future__ import annotations
@@ -55,47 +58,52 @@ from deep_contact.stepping.rows import (
 from deep_contact.stepping.segments import surface_velocity, wall_velocity
 
 BLOCK = 1024
-"""Contacts coloured together: smaller blocks fill fewer tiles, larger ones leave the nearest cache."""
+"""Number of contacts in a block. Smaller blocks leave more lanes of their tiles unused; larger blocks exceed the
+fastest cache."""
 
 COLOURS = 64
-"""Number of colours, and of phases, in a bit mask. A contact without a free colour is a batch of its own. Blocks
-without a free phase come last, in the order of the list."""
+"""Number of bits of a mask: the largest number of colours in a block, and of phases. A contact without a free colour is
+a batch of its own. Blocks without a free phase come last, in the order of the list."""
 
 CONTACTS, BLOCKS, TILES, CIRCLES, ROWS = range(5)
-"""Elements of `BatchPlan.count`."""
+"""Indices into `BatchPlan.count`."""
 
 BATCHES, PHASE_BITS = range(2)
 """Columns of `BatchPlan.mark`."""
 
 
 class BatchPlan(NamedTuple):
-    """The batch and the place of each contact: buffers for M contacts of n circles in B blocks."""
+    """The batch and the place of each contact, in buffers for M contacts of n circles in B blocks."""
 
-    mark: np.ndarray  # (n, 2): colours of each circle in the current block, and phases of each circle, as bits
+    mark: np.ndarray  # (n, 2): bit masks: colours of each circle in the current block, phases of each circle
     batch: np.ndarray  # (M,): batch of each contact, counted from 0 in each block
     place: np.ndarray  # (M,): place of each contact: 8 · tile + lane
-    fill: np.ndarray  # (M,): for each batch, the number of its contacts, and then its next free place
+    fill: np.ndarray  # (M,): for each batch, first the number of its contacts, later its next free place
     used: np.ndarray  # (M,): number of lanes in use in each tile
-    first: np.ndarray  # (B + 1,): first tile of each block, and the number of tiles
-    own: np.ndarray  # (B + 1,): first row of each block's contacts with segments, and the number of rows
+    first: np.ndarray  # (B + 1,): first tile of each block; the last element is the number of tiles
+    own: np.ndarray  # (B + 1,): first body row for each block's contacts with segments; last, the number of rows
     phase: np.ndarray  # (B,): phase of each block
-    order: np.ndarray  # (B,): blocks by phase
-    count: np.ndarray  # (5,): contacts, blocks and tiles in use, circles, rows of bodies
+    order: np.ndarray  # (B,): indices of the blocks, sorted by phase
+    count: np.ndarray  # (5,): numbers of contacts, blocks and tiles in use, of circles, and of body rows
 
 
 class Tiles(NamedTuple):
-    """Tiles of eight contacts, in the order in which they are relaxed, and bodies: circles, and five for each block."""
+    """T tiles of eight contacts, block by block, and R rows of bodies.
 
-    body: np.ndarray  # (T, 2, 8): a, b as rows of `solver_bodies` and `centre`
-    data: np.ndarray  # (T, 6, 8): as in `Rows`
+    The bodies are the n circles, then four walls and an idle body for each block, then one body for each contact with a
+    segment.
+    """
+
+    body: np.ndarray  # (T, 2, 8): bodies a and b, as row indices of `solver_bodies` and `centre`
+    data: np.ndarray  # (T, 6, 8): normal, effective masses and arms, as in `Rows.data`
     impulse: np.ndarray  # (T, 2, 8): λ_n, λ_t, N·s
-    solver_bodies: np.ndarray  # (R, 4): as in the engine: circles, walls and idle bodies of the blocks, segments
-    centre: np.ndarray  # (R, 4): centres of these bodies, see `position_correction.fill_ground`
+    solver_bodies: np.ndarray  # (R, 4): velocities and inverse masses, as in `stepping.rows`
+    centre: np.ndarray  # (R, 4): x, y, radius, mass of these bodies (`position_correction.fill_ground`)
 
 
 @njit(cache=True)
 def make_plan(n, capacity):
-    """Buffers for a plan of `capacity` contacts of n circles, with the counts of no plan (`is_plan_of`)."""
+    """Return buffers for a plan of `capacity` contacts of n circles. Its counts are −1, so that it fits no contacts."""
     blocks = capacity // BLOCK + 1
     whole = np.int64
     return BatchPlan(
@@ -107,7 +115,7 @@ def make_plan(n, capacity):
 
 @njit(cache=True)
 def make_tiles(rows, tiles):
-    """Buffers for `rows` rows of bodies and for `tiles` tiles."""
+    """Return uninitialised buffers for `rows` rows of bodies and for `tiles` tiles."""
     return Tiles(
         np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 6, WIDTH)), np.empty((tiles, 2, WIDTH)),
         np.empty((rows, 4)), np.empty((rows, 4)),
@@ -116,10 +124,12 @@ def make_tiles(rows, tiles):
 
 @njit(cache=True)
 def plan_batches(body_a, body_b, n, plan):
-    """Sort all contacts, (m,) each, into batches: each gets the first colour that its two circles do not have yet.
+    """Sort m contacts into batches: each contact gets the first colour that neither of its two circles has yet.
 
-    This is the greedy colouring of Welsh and Powell (1967), in the order of the list. Returns the plan, a larger one if
-    needed.
+    This is the greedy colouring of Welsh and Powell (1967), in the order of the list.
+
+    body_a, body_b: bodies of the contacts, (m,). n: number of circles. plan: `BatchPlan`, filled in place. Returns the
+    plan, or a larger plan if needed.
     """
     m = body_a.shape[0]
     if m > plan.batch.shape[0]:
@@ -142,7 +152,10 @@ def plan_batches(body_a, body_b, n, plan):
 
 @njit(cache=True)
 def is_plan_of(plan, n, contacts, planned):
-    """Whether a plan for the contacts `planned` fits these contacts of n circles: equal pairs, in equal order."""
+    """Return whether a plan that was made for the contacts `planned` also fits `contacts`.
+
+    It fits if both have the same pairs in the same order, and if n is the number of circles of the plan.
+    """
     m = contacts.body_a.shape[0]
     if plan.count[CIRCLES] != n or plan.count[CONTACTS] != m:
         return False
@@ -154,15 +167,16 @@ def is_plan_of(plan, n, contacts, planned):
 
 @njit(cache=True)
 def choose_batches(body_a, body_b, n, begin, end, plan):
-    """Choose the batches of the contacts of one block, and count the contacts of each batch in `fill`.
+    """Choose a batch for each contact of one block, and count the contacts of each batch in `plan.fill`, in place.
 
-    Returns the number of batches, the phases of the block's circles, as bits, and the number of contacts with segments.
-    Here and below, unsigned integers index arrays: for signed ones, Numba tests every index for being negative.
+    begin, end: first contact of the block, and the contact after its last. Returns the number of batches, the phases of
+    the block's circles as a bit mask, and the number of contacts with segments. Here and below, array indices are
+    unsigned integers, since Numba tests every signed index for a negative value.
     """
     mark, batches, alone, segments = plan.mark, 0, 0, 0
     nothing, one = np.uint64(0), np.uint64(1)
     taken = of_a = nothing
-    held = np.uint32(body_a[begin])  # contacts are sorted by body a, so its marks stay in registers
+    held = np.uint32(body_a[begin])  # contacts are sorted by body a, so that its marks stay in registers
     for i in range(begin, end):
         a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
         if a != held:
@@ -190,9 +204,10 @@ def choose_batches(body_a, body_b, n, begin, end, plan):
 
 @njit(cache=True)
 def take_phase(body_a, body_b, n, begin, end, taken, plan):
-    """The first phase in which no other block has a circle of this block, or `COLOURS`; marks its circles with it.
+    """Assign the first free phase to a block, and mark the block's circles with it, in place. Returns the phase.
 
-    taken: phases of the block's circles, as bits. The colours of these circles are cleared.
+    A phase is free if no other block in it has a circle of this block. If no phase is free, the result is `COLOURS`.
+    The colours of the block's circles are cleared. taken: phases of the block's circles, as a bit mask.
     """
     mark, phase, mine = plan.mark, lowest_zero(taken), np.uint64(0)
     if phase < COLOURS:
@@ -209,7 +224,10 @@ def take_phase(body_a, body_b, n, begin, end, taken, plan):
 
 @njit(cache=True)
 def place_contacts(begin, end, batches, tile, plan):
-    """Assign places to the contacts of one block, batch by batch from a tile on. Returns the tile after the last."""
+    """Assign a place to each contact of one block, batch by batch, in place on the plan.
+
+    batches: number of batches. tile: first tile of the block. Returns the tile after the last tile of the block.
+    """
     fill = plan.fill[begin : begin + batches]
     for c in range(batches):
         left, fill[c] = fill[c], tile * WIDTH
@@ -226,7 +244,7 @@ def place_contacts(begin, end, batches, tile, plan):
 
 @njit(cache=True)
 def sort_phases(blocks, plan):
-    """Fill `order`: blocks sorted by phase, and the blocks of a phase in the order of the list."""
+    """Fill `plan.order` with the blocks sorted by phase. The blocks of a phase stay in the order of the list."""
     place = 0
     for phase in range(COLOURS + 1):
         for k in range(blocks):
@@ -237,7 +255,10 @@ def sort_phases(blocks, plan):
 
 @njit(cache=True)
 def with_room(plan, tiles):
-    """The tiles, or larger ones if the plan needs them, with walls and idle bodies at rest."""
+    """Return the tiles, or larger tiles if the plan needs them.
+
+    Velocities and inverse masses of walls and idle bodies are set to 0.
+    """
     n, rows, last = plan.count[CIRCLES], plan.count[ROWS], plan.count[TILES]
     if last > tiles.body.shape[0] or rows > tiles.solver_bodies.shape[0]:
         tiles = make_tiles(n + (rows - n) * 3 // 2 + 5, last + last // 2)
@@ -247,15 +268,16 @@ def with_room(plan, tiles):
 
 @njit(cache=True)
 def contacts_of_block(plan, k):
-    """(First contact of block k, the contact after its last)."""
+    """Return (first contact of block k, contact after its last)."""
     return k * BLOCK, min(k * BLOCK + BLOCK, plan.count[CONTACTS])
 
 
 @njit(cache=True, error_model="numpy")
 def place_block(step, contacts, plan, tiles, k, actuation):
-    """Write the bodies and the starting impulses of a block's contacts to their places.
+    """Write the bodies and the starting impulses of the contacts of block k to their places in the tiles.
 
     For contacts with walls and segments, also write the row data that `fill_rows` cannot compute. step: `StepInput`.
+    actuation: `Actuation`, or None.
     """
     body, data, impulse, n = tiles.body, tiles.data, tiles.impulse, plan.count[CIRCLES]
     body_a, body_b, place = contacts.body_a, contacts.body_b, plan.place
@@ -282,7 +304,10 @@ def place_block(step, contacts, plan, tiles, k, actuation):
 
 @njit(cache=True)
 def place_rows(rows, plan, tiles, k):
-    """Write the row data of a block's contacts to their places, as `fill_rows` would. rows: `Rows` that are built."""
+    """Copy the row data of the contacts of block k to their places in the tiles. `fill_rows` is then not needed.
+
+    rows: `Rows` that are already built.
+    """
     begin, end = contacts_of_block(plan, k)
     for i in range(begin, end):
         for column in range(ARM_B + 1):
@@ -291,7 +316,7 @@ def place_rows(rows, plan, tiles, k):
 
 @njit(cache=True)
 def move_points(plan, tiles, dt):
-    """Move the contact points on segments with their segments for Δt, in place."""
+    """Move the contact points on segments with the velocities of their segments over Δt, in place. dt: Δt, s."""
     v, centre = tiles.solver_bodies, tiles.centre
     for row in range(plan.own[0], plan.count[ROWS]):
         centre[row, 0] += dt * v[row, V_X]
@@ -300,7 +325,10 @@ def move_points(plan, tiles, dt):
 
 @njit(cache=True)
 def place_segments(step, contacts, plan, tiles, k, actuation):
-    """Write the contact points of a block on segments, each as a wall of its own (`fill_ground`)."""
+    """Write a wall-like body for each contact of block k with a segment, in place on the tiles (`fill_ground`).
+
+    The body has the position of the contact point on the segment, and the velocity of the segment there.
+    """
     n, row, (begin, end), skin = plan.count[CIRCLES], plan.own[k], contacts_of_block(plan, k), step.scales.wall_skin
     centre, solver_bodies, place = tiles.centre, tiles.solver_bodies, plan.place
     position, radius, line = step.bodies.position, step.bodies.radius, step.segments.line
@@ -325,8 +353,8 @@ def place_segments(step, contacts, plan, tiles, k, actuation):
 def fill_rows(tiles, first, last):
     """Fill the rows of the tiles from `first` to before `last`, in place. Returns whether two centres coincide.
 
-    The row data are those of `rows.contact_rows`, from the centres (`fill_centres`) and from the data that
-    `place_block` writes. The normals of coinciding centres are left to `part_coinciding`.
+    The row data are those of `rows.contact_rows`. They follow from the centres (`fill_centres`) and from the data that
+    `place_block` writes. Normals between coinciding centres are not filled; `part_coinciding` writes them.
     """
     body, data, centre, v = tiles.body, tiles.data, tiles.centre, tiles.solver_bodies
     none, one, half, tiny = spread(0.0), spread(1.0), spread(0.5), spread(SMALLEST_DISTANCE)
@@ -338,7 +366,7 @@ def fill_rows(tiles, first, last):
         w_a, w_b = load_rows(v, body, 2 * t)[INVERSE_MASS], load_rows(v, body, 2 * t + 1)[INVERSE_MASS]
         d_x, d_y = b_x - a_x, b_y - a_y
         distance, coincide = root(times(d_x, d_x) + times(d_y, d_y)), times(tiny, r_a + r_b)
-        # An unused lane is a contact of its block's idle body, without inverse mass, with itself.
+        # Lanes whose body b has no inverse mass do not count, such as unused lanes, where the idle body meets itself.
         nearest = least(nearest, where_less(none, w_b, distance - coincide, one))
         written_x, written_y = load(data, row + N_X), load(data, row + N_Y)
         n_x = where_less(distance, coincide, written_x, d_x / distance)
@@ -360,7 +388,10 @@ def fill_rows(tiles, first, last):
 
 @njit(cache=True)
 def part_coinciding(tiles, first, last):
-    """Write the normals of circles whose centres coincide (`contacts.parting`), in place."""
+    """Write the normals of circles whose centres coincide (`contacts.parting`), in place.
+
+    The tiles are those from `first` to before `last`.
+    """
     centre = tiles.centre
     for t in range(first, last):
         for j in range(WIDTH):
@@ -372,7 +403,10 @@ def part_coinciding(tiles, first, last):
 
 @njit(cache=True)
 def start_tiles(tiles, first, last):
-    """`rows.apply_impulses` of the tiles from `first` to before `last`, in place."""
+    """Apply the starting impulses of tiles to the velocities, in place (`rows.apply_impulses`).
+
+    The tiles are those from `first` to before `last`.
+    """
     body, data, impulse, v = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies
     for t in range(first, last):
         row = 6 * t
@@ -388,7 +422,7 @@ def start_tiles(tiles, first, last):
 
 @njit(cache=True)
 def pad_block(plan, tiles, k):
-    """Fill the unused lanes of a block with contacts of its idle body with itself."""
+    """Fill the unused lanes of block k with contacts of its idle body with itself, in place."""
     idle = plan.count[CIRCLES] + 5 * k + IDLE
     for t in range(plan.first[k], plan.first[k + 1]):
         for j in range(plan.used[t], WIDTH):
@@ -400,7 +434,10 @@ def pad_block(plan, tiles, k):
 
 @njit(cache=True)
 def fill_tiles(rows, solver_bodies, plan, tiles):
-    """Copy the rows to their places, and copy the solver bodies. Returns the tiles, or larger ones if needed."""
+    """Copy the rows to their places in the tiles, and copy the solver bodies, in place.
+
+    Returns the tiles, or larger tiles if needed.
+    """
     n, tiles = plan.count[CIRCLES], with_room(plan, tiles)
     for k in range(plan.count[BLOCKS]):
         ground, (begin, end) = n + 5 * k, contacts_of_block(plan, k)
@@ -419,7 +456,10 @@ def fill_tiles(rows, solver_bodies, plan, tiles):
 
 @njit(cache=True)
 def store_block(plan, tiles, contacts, k, substeps):
-    """Write the solved impulses of a block, times the number `substeps` of substeps, into the contacts, in place."""
+    """Write the solved impulses of block k into the contacts, in place. Contacts have impulses of a whole step.
+
+    substeps: number of substeps of a step, by which the impulses of a substep are multiplied.
+    """
     begin, end = contacts_of_block(plan, k)
     for i in range(begin, end):
         t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
@@ -429,7 +469,7 @@ def store_block(plan, tiles, contacts, k, substeps):
 
 @njit(cache=True)
 def empty_tiles(plan, tiles, rows, solver_bodies):
-    """Copy impulses and velocities from the tiles back into rows and solver bodies, in place."""
+    """Copy impulses and velocities from the tiles back into `rows` and `solver_bodies`, in place."""
     for i in range(plan.count[CONTACTS]):
         t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
         rows.impulse[i, NORMAL], rows.impulse[i, TANGENT] = tiles.impulse[t, NORMAL, j], tiles.impulse[t, TANGENT, j]

@@ -1,4 +1,7 @@
-"""Projected Gauss-Seidel with Nesterov's momentum and restarts."""
+"""Projected Gauss-Seidel with Nesterov's momentum and restarts.
+
+Tests: tests/solvers/test_solvers.py
+"""
 
 from __future__ import annotations
 
@@ -15,28 +18,29 @@ from deep_contact.stepping.interface import Loop, SolverOptions, register, toler
 from deep_contact.stepping.rows import CONTRACT, SUMS, sweep
 
 FIRST_MOMENTUM = 0.9
-"""Bound of the momentum β at the first sweep."""
+"""Upper bound of the momentum β at the first sweep."""
 
 MAX_MOMENTUM = 0.99
-"""Largest bound of the momentum."""
+"""Largest value of the upper bound of β."""
 
 MOMENTUM_WINDOW = 5
-"""Sweeps between two adaptations of the bound."""
+"""Number of sweeps between two adaptations of the upper bound of β."""
 
 SUDDEN_GROWTH = 1.2
-"""Growth of the squared change from one sweep to the next above which the bound falls at once."""
+"""Ratio of the squared change of the impulses in a sweep to that in the sweep before, above which the upper bound of β
+is lowered at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class NesterovPGS(SolverOptions):
-    """Projected Gauss-Seidel with Nesterov's momentum (Soviet Mathematics Doklady 27, 1983), restarted by the gradient
-    scheme of O'Donoghue and Candès (Foundations of Computational Mathematics 15, 2015), with a bound on the momentum.
+    """Projected Gauss-Seidel with Nesterov's momentum (Soviet Mathematics Doklady 27, 1983) and an upper bound on it.
 
-    The options are those of every solver (`SolverOptions`).
+    The momentum restarts by the gradient scheme of O'Donoghue and Candès (Foundations of Computational Mathematics 15,
+    2015). The options are those of every solver (`SolverOptions`).
 
-    Weakness: the bound adapts to what the last sweeps did, so it lags where contacts open and slip,
-    and the error may grow for some sweeps. Fewer than ten sweeps gain little. With friction convergence is not proven,
-    and θ does not fall with every sweep.
+    Weakness: the bound adapts to the last sweeps, so it reacts late when contacts open or slip, and the error may then
+    grow for some sweeps. Fewer than ten sweeps gain little. With friction convergence is not proven, and θ does not
+    fall with every sweep.
     """
 
 
@@ -45,13 +49,18 @@ NesterovSettings = namedtuple("NesterovSettings", ["tolerance"])
 
 @njit(cache=True)
 def relax_nesterov(settings, rows, friction, solver_bodies, theta, workspace):
-    """Projected Gauss-Seidel with Nesterov's momentum: each sweep starts from λ + β (λ − λ of the sweep before).
+    """Do sweeps with Nesterov's momentum: each sweep starts from λ + β (λ − λ of the sweep before).
 
-    β = (t − 1) / t⁺ with t⁺ = (1 + √(1 + 4 t²)) / 2, from t = 1. t restarts at 1 if the step goes uphill, that is, if
-    the change of the sweep points against the last step (gradient scheme of O'Donoghue and Candès 2015). With friction
-    this alone cycles around the solution, so β has a bound: 1 − bound doubles when the sum of squared changes grows
-    from one window to the next, or suddenly, and falls by a fifth with every other window.
-    As in `relax_nncg`, velocities are extrapolated with the impulses, and the last sweep is not extrapolated.
+    β = (t − 1) / t⁺ with t⁺ = (1 + √(1 + 4 t²)) / 2, from t = 1. t restarts at 1 if the change of λ by the sweep and
+    the change of λ since the sweep before have a negative scalar product (gradient scheme of O'Donoghue and Candès
+    2015).
+
+    With friction this rule alone makes the impulses cycle around the solution. β therefore has an upper bound. 1 −
+    bound doubles when the sum of the squared changes grows from one window of sweeps to the next, or suddenly in one
+    sweep. After a window without growth, 1 − bound falls by a fifth.
+
+    Velocities are extrapolated like the impulses, and the last sweep is not extrapolated, as in `relax_nncg`. Arguments
+    and result are those of `Loop.relax` (`stepping.interface`).
     """
     impulse, velocity = rows.impulse.reshape(rows.impulse.size), solver_bodies.reshape(solver_bodies.size)
     if impulse.size > workspace.last_impulse.size or velocity.size > workspace.last_velocity.size:
@@ -74,13 +83,17 @@ def relax_nesterov(settings, rows, friction, solver_bodies, theta, workspace):
 
 
 FIRST_MEMORY = (1.0, FIRST_MOMENTUM, np.inf, np.inf, 0.0)
-"""Memory of `next_momentum` before the first sweep: t, the bound of β, and the squared changes of the last sweep, of
-the last window and of this window."""
+"""Memory of `next_momentum` before the first sweep: t, the bound of β, and the squared changes of the impulses in the
+last sweep, in the last window and in this window."""
 
 
 @njit(cache=True)
 def next_momentum(k, impulse, swept_from, last, memory):
-    """(β, memory) after the k-th sweep, counted from 0, which led from `swept_from` to the impulses."""
+    """Return (β, memory) after the k-th sweep, counted from 0.
+
+    The sweep changed the impulses from `swept_from` to `impulse`. last: impulses after the sweep before. memory: as
+    `FIRST_MEMORY`.
+    """
     t, bound, last_size, before, now = memory
     size, downhill = step_and_slope(impulse, swept_from, last)
     now += size
@@ -101,7 +114,7 @@ def next_momentum(k, impulse, swept_from, last, memory):
 
 @njit(cache=True, fastmath=SUMS)
 def step_and_slope(x, swept_from, last):
-    """Σ (x − swept_from)² and Σ (x − swept_from) (x − last)."""
+    """Return Σ (x − swept_from)² and Σ (x − swept_from) (x − last). All arguments are flat arrays."""
     size = slope = 0.0
     for i in range(x.shape[0]):
         change = x[i] - swept_from[i]
@@ -112,7 +125,7 @@ def step_and_slope(x, swept_from, last):
 
 @njit(cache=True, fastmath=CONTRACT)
 def extrapolate(x, last, share):
-    """x ← x + share (x − last), and last ← the x of the right-hand sides. In place."""
+    """Set x to x + share (x − last), and `last` to the old x, in place."""
     for i in range(x.shape[0]):
         new = x[i]
         x[i] = new + share * (new - last[i])

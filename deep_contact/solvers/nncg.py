@@ -1,4 +1,7 @@
-"""Nonsmooth nonlinear conjugate gradient on projected Gauss-Seidel."""
+"""Nonsmooth nonlinear conjugate gradients on projected Gauss-Seidel.
+
+Tests: tests/solvers/test_solvers.py
+"""
 
 from __future__ import annotations
 
@@ -18,12 +21,12 @@ from deep_contact.stepping.rows import CONTRACT, SUMS, sweep
 class NNCG(SolverOptions):
     """Nonsmooth nonlinear conjugate gradient on PGS (Silcowitz, Niebe and Erleben, The Visual Computer 26, 2010).
 
-    Each sweep's change is taken for a descent direction, and the directions are combined as by Fletcher and Reeves. The
-    options are those of every solver (`SolverOptions`).
+    The change of the impulses in a sweep serves as descent direction. Directions are combined by the formula of
+    Fletcher and Reeves. The options are those of every solver (`SolverOptions`).
 
-    Weakness: θ does not fall with every sweep, so with fewer than ten sweeps PGS is the safer
-    choice. The combination assumes that the sets of sticking, slipping and open contacts do not change; while they
-    change it restarts often and is PGS at a higher cost. With friction convergence is not proven.
+    Weakness: θ does not fall with every sweep, so with fewer than ten sweeps PGS is the safer choice. The formula
+    assumes that the sets of sticking, slipping and open contacts do not change. While these sets change, the method
+    restarts often and is PGS at a higher cost. With friction convergence is not proven.
     """
 
 
@@ -31,7 +34,11 @@ NNCGSettings = namedtuple("NNCGSettings", ["tolerance"])
 
 
 class Directions(NamedTuple):
-    """Workspace of `relax_nncg` and `relax_nesterov`: values of the last sweep and directions, over rows and bodies."""
+    """Workspace of `relax_nncg` and `relax_nesterov`: flat arrays with the sizes of the impulses and the solver bodies.
+
+    `last_impulse` and `last_velocity` have the values after the last sweep. `along` and `velocity_along` are the
+    directions.
+    """
 
     last_impulse: np.ndarray
     along: np.ndarray
@@ -41,19 +48,19 @@ class Directions(NamedTuple):
 
 @njit(cache=True)
 def make_directions(rows, solver_bodies):
-    """Workspace for as many rows and solver bodies."""
+    """Return uninitialised `Directions` of the size of these rows and solver bodies."""
     size, width = rows.impulse.size, solver_bodies.size
     return Directions(np.empty(size), np.empty(size), np.empty(width), np.empty(width))
 
 
 @njit(cache=True)
 def relax_nncg(settings, rows, friction, solver_bodies, theta, workspace):
-    """Nonsmooth nonlinear conjugate gradient: what a sweep changes is taken for the descent direction −∇f.
+    """Do sweeps with nonlinear conjugate gradients. The change of λ in a sweep is the descent direction −∇f.
 
-    After each sweep, λ ← λ + β p and p ← β p − ∇f with β = ‖∇f‖² / ‖∇f of the sweep before‖² (Fletcher-Reeves), and
-    p ← 0 where β > 1. Velocities are linear in λ, so the direction of the velocities is carried along instead of being
-    summed up over contacts. The last sweep is not extrapolated: the impulses returned are those that a sweep left in
-    the cone.
+    After each sweep, λ ← λ + β p and p ← β p − ∇f with β = ‖∇f‖² / ‖∇f of the sweep before‖² (Fletcher-Reeves). If β >
+    1, p ← 0. Velocities are linear in λ, so they have a direction of their own, which is updated in the same way
+    instead of being summed over the contacts. The last sweep is not extrapolated, so that the returned impulses lie in
+    the friction cone. Arguments and result are those of `Loop.relax` (`stepping.interface`).
     """
     # Flat views, so that the loops over all numbers vectorise.
     impulse, velocity = rows.impulse.reshape(rows.impulse.size), solver_bodies.reshape(solver_bodies.size)
@@ -69,7 +76,7 @@ def relax_nncg(settings, rows, friction, solver_bodies, theta, workspace):
         if is_over(theta[k], settings.tolerance) or k + 1 == theta.shape[0]:
             return k + 1
         size = squared_distance(impulse, last_impulse)
-        # Where nothing changed there is no direction; 0 / 0 would make everything NaN.
+        # If the sweep before changed nothing, β is 0: the quotient 0 / 0 would make all impulses NaN.
         beta = size / last_size if last_size > 0.0 else 0.0
         last_size = size
         if beta > 1.0:
@@ -83,7 +90,7 @@ def relax_nncg(settings, rows, friction, solver_bodies, theta, workspace):
 
 @njit(cache=True, fastmath=SUMS)
 def squared_distance(one, other):
-    """Σ (one − other)²."""
+    """Return Σ (one − other)² of two flat arrays."""
     total = 0.0
     for i in range(one.shape[0]):
         change = one[i] - other[i]
@@ -93,7 +100,10 @@ def squared_distance(one, other):
 
 @njit(cache=True, fastmath=CONTRACT)
 def extrapolate(x, last, along, beta):
-    """x ← x + β p, p ← β p + (x − last), last ← x; the p of the right-hand sides is the old one. In place."""
+    """Extrapolate x along the direction p, which is `along`, and update p and `last`, in place.
+
+    With the old values on the right-hand sides: x ← x + β p, p ← β p + (x − last). Then `last` becomes the new x.
+    """
     for i in range(x.shape[0]):
         momentum = beta * along[i]
         along[i] = momentum + x[i] - last[i]
@@ -103,7 +113,7 @@ def extrapolate(x, last, along, beta):
 
 @njit(cache=True)
 def reset(x, last, along):
-    """Restart the momentum, in place: p, which is `along`, becomes 0, and last becomes x."""
+    """Restart from x, in place: the direction p, which is `along`, becomes 0, and `last` becomes x."""
     along[:] = 0.0
     last[:] = x
 

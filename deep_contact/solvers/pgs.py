@@ -1,4 +1,7 @@
-"""Projected Gauss-Seidel: one sweep after the other, over all contacts or island by island."""
+"""Projected Gauss-Seidel, over all contacts together or island by island.
+
+Tests: tests/solvers/test_solvers.py, tests/stepping/test_islands.py
+"""
 
 from __future__ import annotations
 
@@ -18,13 +21,13 @@ from deep_contact.stepping.rows import Rows, sweep
 class PGS(SolverOptions):
     """Projected Gauss-Seidel, the thesis's Algorithm 1 with the friction row of Box2D beside every normal row.
 
-    islands: sweep each island on its own. Islands are stopped separately, which saves nothing for one pile, or without
-    a tolerance.
+    islands: whether to sweep each island, a group of connected circles, on its own. The sweeps of each island then end
+    at the tolerance. This saves nothing for a scene with one island, or without a tolerance.
     sweeps, tolerance: see `SweepOptions`.
     position_sweeps, substeps, most_substeps, approach, slop: options of stepping, see `SolverOptions`.
 
-    Weakness: it is slow, not unstable. Every sweep lowers the energy of the error, but information travels one contact
-    a sweep, so the number of sweeps grows with the square of a pile's height and with the mass ratio.
+    Weakness: it is stable, but slow. Every sweep lowers the energy of the error, but information travels one contact a
+    sweep, so the number of sweeps grows with the square of a pile's height and with the mass ratio.
     """
 
     islands: bool = False
@@ -40,7 +43,10 @@ IslandsSettings = namedtuple("IslandsSettings", ["tolerance"])
 
 @njit(cache=True)
 def relax_pgs(settings, rows, friction, solver_bodies, theta, workspace):
-    """Projected Gauss-Seidel: one sweep after the other."""
+    """Do sweeps over all contacts, in place, until θ is within the tolerance. Returns the number of sweeps.
+
+    Arguments are those of `Loop.relax` (`stepping.interface`).
+    """
     for k in range(theta.shape[0]):
         theta[k] = sweep(rows, friction, solver_bodies)
         if is_over(theta[k], settings.tolerance):
@@ -50,10 +56,11 @@ def relax_pgs(settings, rows, friction, solver_bodies, theta, workspace):
 
 @njit(cache=True)
 def relax_islands(settings, rows, friction, solver_bodies, theta, workspace):
-    """Projected Gauss-Seidel, one island after the other. Returns (sweeps, relaxations).
+    """Do sweeps over one island after the other, in place. Returns (sweeps, relaxations).
 
-    The number of sweeps is that of the slowest island. θ of a sweep is the largest over the islands that did it, so
-    the last θ tells whether all islands are within the tolerance.
+    `sweeps` is the number of sweeps of the island that needs most. `relaxations` counts the relaxed contacts of all
+    sweeps. θ of a sweep is the largest over the islands that did this sweep. The last θ therefore tells whether all
+    islands are within the tolerance. Arguments are those of `Loop.relax` (`stepping.interface`).
     """
     if rows.body.shape[0] > workspace.order.shape[0]:
         workspace = make_islands_workspace(rows, solver_bodies)

@@ -1,4 +1,7 @@
-"""Projected successive over-relaxation."""
+"""Projected successive over-relaxation.
+
+Tests: tests/solvers/test_solvers.py
+"""
 
 from __future__ import annotations
 
@@ -16,14 +19,16 @@ from deep_contact.stepping.rows import NORMAL_MASS, TANGENT_MASS, sweep
 class PSOR(SolverOptions):
     """Projected successive over-relaxation: PGS with every change of an impulse multiplied by ω.
 
-    omega: ω, between 0 and 2. friction_omega: ω of the friction rows; None: also `omega`. The other options are those
+    omega: ω, between 0 and 2. friction_omega: ω of the friction rows; None means `omega`. The other options are those
     of every solver (`SolverOptions`).
 
-    Without friction it converges for 0 < ω < 2 (Cottle, Pang and Stone, The Linear Complementarity Problem, 1992,
-    section 5.3); other values are refused. Weakness: with friction convergence is not proven. The bounds ±μ λ_n move
-    as λ_n overshoots, and from ω of about 1.5 single contacts alternate between sticking and slipping, so θ stalls
-    above a tight tolerance. A smaller friction_omega moves that to larger ω: 1.75 with 1.45, or 1.8 with 1.4, leaves
-    0.88 to 1.04 of the error of the best single ω after 10 to 50 sweeps along runs.
+    Without friction the method converges for 0 < ω < 2 (Cottle, Pang and Stone, The Linear Complementarity Problem,
+    1992, section 5.3). Other values are refused.
+
+    Weakness: with friction convergence is not proven. The bounds ±μ λ_n move while λ_n overshoots. From ω of about 1.5
+    on, single contacts alternate between sticking and slipping, so that θ stalls above a tight tolerance. A smaller
+    `friction_omega` shifts this limit to a larger ω. After 10 to 50 sweeps a step, ω = 1.75 with 1.45 for the friction
+    rows, or 1.8 with 1.4, leaves 0.88 to 1.04 times the error of the best single ω.
     """
 
     omega: float = 1.3
@@ -37,7 +42,7 @@ class PSOR(SolverOptions):
 
 
 class PSORSettings(NamedTuple):
-    """Settings of `PSOR`."""
+    """Settings of `PSOR` for compiled code."""
 
     tolerance: float
     omega: float
@@ -46,9 +51,11 @@ class PSORSettings(NamedTuple):
 
 @njit(cache=True)
 def relax_psor(settings, rows, friction, solver_bodies, theta, workspace):
-    """Every change of an impulse is ω times what would solve its row: a sweep with ω times the effective masses.
+    """Do sweeps in which every change of an impulse is ω times the change that would solve its row.
 
-    θ is divided by the smaller ω, so that it is at least the largest change of a plain sweep.
+    For this the effective masses are multiplied by ω, in place. θ is divided by the smaller ω, so that it is at least
+    the largest change of a sweep without over-relaxation. Arguments and result are those of `Loop.relax`
+    (`stepping.interface`).
     """
     for i in range(rows.data.shape[0]):
         rows.data[i, NORMAL_MASS] *= settings.omega

@@ -1,9 +1,9 @@
-"""Impulses for a state that carries no impulses yet, or those of another load or another Δt.
+"""New starting impulses for a state without impulses, or with the impulses of another load or another Δt.
 
-A pile whose gravity is switched off still has the impulses that held it up. A few sweeps do not remove them, and the
-rest becomes velocity. A state therefore keeps a digest of the load for which its impulses were solved (`State.load`).
-If the load has changed, the impulses are solved anew, with many sweeps, before the next step starts from them. A run
-that nothing disturbs keeps its bits.
+A pile whose gravity is switched off still has the impulses that carried its weight. A few sweeps do not remove them,
+and the rest becomes velocity. A state therefore stores a digest of the load for which its impulses were solved
+(`State.load`). If the load has changed, the impulses are solved anew, with many sweeps, and the next step starts from
+them. In a run whose load never changes, all bits of the result stay the same.
 """
 
 from __future__ import annotations
@@ -28,29 +28,31 @@ from deep_contact.stepping.rows import best_share, projected
 from deep_contact.stepping.substeps import shift_flights
 
 SWEEPS = 500, 2000
-"""Smallest and largest number of sweeps of an accurate solve; between them it is the number of circles. With few sweeps
-a pile would fall into itself."""
+"""Smallest and largest number of sweeps of an accurate solve. Between these limits it is the number of circles. After
+fewer sweeps the circles of a pile would sink into each other."""
 
 CLOSE = 10.0
-"""θ at which these sweeps end if the load has changed, over the default tolerance of solvers."""
+"""Tolerance of an accurate solve after a change of the load, as a multiple of the default tolerance of solvers."""
 
 KICK = 0.001
-"""Largest increase of the top speed with which carried impulses stay, in √(g r)."""
+"""Largest increase of the top speed, in √(g r), up to which the carried impulses are used in spite of a changed load.
+"""
 
 RELAXED = 2000
-"""Largest number of iterations of the convex relaxation, which is for states in which nothing moves yet."""
+"""Largest number of iterations of the convex relaxation (`impulses_at_rest`). It is used if circles hardly move."""
 
 ENDS = 1e-4
-"""Rms speed at which these iterations end, over the speed g Δt that gravity gives in a step."""
+"""Rms speed at which the iterations of the relaxation end, as a multiple of g Δt, the speed that gravity adds in a
+step."""
 
 RESTS = 0.02
-"""Largest rms speed after the iterations, over g Δt, at which a pile counts as being at rest."""
+"""Largest rms speed after the relaxation at which a pile counts as being at rest, as a multiple of g Δt."""
 
 
 def load_of(state: State) -> tuple[int, int]:
-    """(Load, motion): digests of what the impulses of a state are solved for, and of its velocities and spins.
+    """Return (digest of the load of a state, digest of its velocities and spins).
 
-    The load is the world, Δt, the pushes, and positions, masses and radii of the circles.
+    The load consists of the world, Δt, the pushes, and the positions, masses and radii of the circles.
     """
     position, velocity, _, spin, mass, radius = map(np.ascontiguousarray, state.bodies)
     load, motion = zlib.crc32(np.float64(state.dt), _of_world(state.world)), zlib.crc32(velocity, zlib.crc32(spin))
@@ -64,22 +66,24 @@ def _of_world(world: World) -> int:
         numbers = *world.box, *world.gravity, world.friction, world.restitution, *np.ravel(world.segments)
         dragging = world.surface_speeds if world.friction > 0 else ()
         kept = zlib.crc32(np.array([*numbers, *dragging, *(world.scales or ())], np.float64))
-        vars(world)["_digest"] = kept  # cached there, as the grid of its segments: a world never changes
+        vars(world)["_digest"] = kept  # cached in the world, which never changes
     return kept
 
 
 def has_new_load(state: State) -> bool:
-    """Whether the contacts and impulses of a state are known to be those of another load."""
+    """Return whether the impulses of a state are known to belong to another load than its present load."""
     return state.load is not None and load_of(state)[0] != state.load[0]
 
 
 def with_new_load(state: StateWithContacts, solver) -> StateWithContacts:
-    """The state with impulses that fit its load, made from the impulses of another load that it carries.
+    """Return the state with impulses that fit its load. The state carries the impulses of another load.
 
-    The carried impulses stay if the solver leaves no more energy from them than from impulses of 0, and raises the top
-    speed by at most `KICK`. Otherwise the impulses are solved anew, starting from the carried impulses times the factor
-    that leaves the least energy (`best_share`). If the new impulses leave more energy than impulses of 0, the state
-    starts from 0. solver: of the next steps, with numbers in place of values that follow the scene
+    The carried impulses stay if the solver, starting from them, leaves no more energy than from impulses of 0, and
+    raises the top speed by at most `KICK`. Otherwise the impulses are solved anew. This solve starts from the carried
+    impulses times the factor that leaves the least energy (`best_share`). If the solver leaves more energy from the new
+    impulses than from impulses of 0, the state starts from 0.
+
+    solver: options of the next steps, with numbers in place of values that follow the scene
     (`SolverOptions.for_state`).
     """
     contacts = state.contacts
@@ -100,7 +104,10 @@ def with_new_load(state: StateWithContacts, solver) -> StateWithContacts:
 
 
 def with_a_past(state: StateWithContacts) -> StateWithContacts:
-    """The state with impulses from its positions alone: those at which it rests, if there are any, or accurate ones."""
+    """Return the state with starting impulses that follow from its positions alone.
+
+    They are impulses at which the circles rest, if there are any, and otherwise accurately solved impulses.
+    """
     if state.contacts.count == 0:
         return state
     problem = step_problem(state)
@@ -113,9 +120,10 @@ def with_a_past(state: StateWithContacts) -> StateWithContacts:
 
 
 def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:
-    """(λ_n, λ_t), (m,) each, N·s: those at which the state rests (`relaxation`), if there are any, or accurate ones.
+    """Return impulses (λ_n, λ_t), (m,) each, N·s, at which the state rests, or else accurately solved impulses.
 
-    normal, tangent: impulses to start from, (m,) each, N·s. tolerance: θ at which the sweeps end, N·s, or None.
+    The convex relaxation searches for rest if the circles hardly move. normal, tangent: impulses to start from, (m,)
+    each, N·s. problem: `StepProblem` of the state. tolerance: θ at which the sweeps end, N·s, or None.
     """
     gained, speed = state.dt * math.hypot(*state.world.gravity), math.inf
     ends, rests = ENDS * gained, RESTS * gained
@@ -129,14 +137,14 @@ def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float 
 
 
 def _left(state: State, normal, tangent, solver, problem: StepProblem) -> tuple[float, float]:
-    """(`energy_norm`, √J, top speed, m/s) of the velocities that a solver leaves if it starts from these impulses."""
+    """Return (energy norm, √J; top speed, m/s) of the velocities after a solve that starts from these impulses."""
     solution = solve(state, solver, normal, tangent, problem)
     energy = energy_norm(state.bodies, solution.velocities, solution.angular_velocities)
     return energy, float(np.hypot(*solution.velocities.T).max())
 
 
 def _starting(state: StateWithContacts, normal, tangent) -> StateWithContacts:
-    """The state that starts from these impulses."""
+    """Return the state that starts from these impulses, (m,) each, N·s."""
     contacts = state.contacts._replace(normal_start=normal, tangent_start=tangent)
     if not state.solved:
         contacts = contacts._replace(normal_impulse=normal, tangent_impulse=tangent)
@@ -144,17 +152,18 @@ def _starting(state: StateWithContacts, normal, tangent) -> StateWithContacts:
 
 
 def with_time_step(state: State, dt: float) -> State:
-    """The state with another Δt, s; the impulses that it carries from the last step are scaled by the ratio.
+    """Return the state with another Δt, s. The impulses carried from the last step are scaled by new Δt / old Δt.
 
     Without the scaling a change of Δt kicks a pile at rest, whose impulses are m g Δt (Box2D 2.3 scales by `dtRatio`).
-    Where e > 0 circles in flight keep their energy (`substeps.shift_flights`).
+    If e > 0, the velocities of circles in flight are corrected, so that the circles keep their energy
+    (`substeps.shift_flights`).
     """
     contacts = check_types(state).contacts
     if dt == state.dt:
         return state
     if number("dt", dt, above=0) and contacts is not None:
         ratio, names = dt / state.dt, ["normal_start", "tangent_start"]
-        if not state.solved:  # its impulses are its starts
+        if not state.solved:  # the impulses of an unsolved state are its starting impulses
             names += ["normal_impulse", "tangent_impulse"]
         contacts = contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
         state = with_shifted_flights(state, (state.dt - dt) / getattr(state.solver, "substeps", 1))
@@ -162,7 +171,10 @@ def with_time_step(state: State, dt: float) -> State:
 
 
 def with_shifted_flights(state: StateWithContacts, change: float) -> StateWithContacts:
-    """The state of a run whose substeps become shorter by `change`, s. If e > 0, circles in flight fly on as before."""
+    """Return the state of a run whose substeps become shorter by `change`, s.
+
+    If e > 0, the velocities of circles in flight are corrected, so that the circles keep their energy.
+    """
     if change == 0.0 or state.world.restitution == 0.0 or state.step == 0:
         return state
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy())

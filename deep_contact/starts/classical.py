@@ -1,4 +1,7 @@
-"""Starts that need no image and no network; and the impulses that a solve starts from, checked."""
+"""Starts without images and networks, and the validation of starting impulses.
+
+Tests: tests/starts/test_starts.py, tests/starts/test_support.py
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ from deep_contact.stepping.rows import NORMAL, TANGENT, best_share
 
 @dataclass(frozen=True)
 class NoStart:
-    """Impulses of 0 (the thesis's Non-Model)."""
+    """The start from impulses of 0 (the thesis's Non-Model)."""
 
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(state.contacts.count), np.zeros(state.contacts.count)
@@ -26,9 +29,10 @@ class NoStart:
 
 @dataclass(frozen=True)
 class Builtin:
-    """The solved impulses of each pair of bodies in the step before, 0 for a new pair (the thesis's Builtin-Model).
+    """The start from the solved impulses of the step before, pair by pair (the thesis's Builtin-Model).
 
-    The engine carries these impulses along, so they are the start that the state holds.
+    A new pair of bodies starts from 0. The engine carries these impulses along, so the state already has them as its
+    starting impulses.
     """
 
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
@@ -36,7 +40,11 @@ class Builtin:
 
 
 class FromProblem:
-    """A start made from the rows of a step, which then uses the same rows: `from_problem(state, solver, problem)`."""
+    """Base class of starts that are computed from the contact problem of a step.
+
+    Subclasses have a method `from_problem(state, solver, problem)`. The step then uses the same problem, which is built
+    once.
+    """
 
     def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
         return self.from_problem(state, solver, step_problem(state))
@@ -44,11 +52,13 @@ class FromProblem:
 
 @dataclass(frozen=True)
 class Scaled(FromProblem):
-    """Builtin's impulses times one number α between 0 and 1: the exact line search along them (`best_share`).
+    """The start from Builtin's impulses times one number α between 0 and 1, by an exact line search (`best_share`).
 
-    In an impact the carried impulses are too large or wrong, and α is small; at rest α is 1. It costs one pass over the
-    contacts. From states of well solved runs it saves sweeps in impacts. Weakness: there is one α for all contacts.
-    Builtin adds up half-solved impulses over the steps of a run, and α shrinks these, so that piles sink.
+    In an impact the carried impulses are too large or wrong, and α is small. At rest α is 1. The search costs one pass
+    over the contacts. If the steps of a run are solved well, this start saves sweeps in impacts.
+
+    Weakness: there is one α for all contacts. If each step is solved only in part, Builtin completes the impulses over
+    several steps. α reduces these impulses, so that piles sink.
     """
 
     def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
@@ -58,9 +68,10 @@ class Scaled(FromProblem):
 
 @dataclass(frozen=True)
 class Support(FromProblem):
-    """Impulses that carry each circle's load down, from positions alone (`starts.support`): for piles without a past.
+    """The start from impulses that carry each circle's load down, computed from positions alone (`starts.support`).
 
-    If contacts carry impulses of a step before, Builtin is better.
+    It is meant for piles whose contacts have no impulses yet. If contacts carry impulses of a step before, Builtin is
+    better.
     """
 
     def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
@@ -70,17 +81,20 @@ class Support(FromProblem):
 def starting_impulses(
     start, state: State, solver, scales: ContactScales | None = None
 ) -> tuple[np.ndarray, np.ndarray, StepProblem | None]:
-    """(λ_n, λ_t, problem) of a start, or of two arrays in its place. The impulses are validated copies, (m,) each, N·s.
+    """Return (λ_n, λ_t, problem): validated starting impulses, (m,) each, N·s, and the contact problem or None.
 
-    problem is the state's contact problem if a start with a method `from_problem(state, solver, problem)` needed it, so
-    that the step can use it; otherwise None. scales: those of the state, if at hand.
-    Raises ValueError on impulses that do not fit the contacts or are beyond `state.arrays.LARGEST_START`.
+    start: a start, or anything that names one (`names.Start`), or two arrays (normal, tangent), (m,) each, N·s. solver:
+    options of the solver. scales: `State.scales`, if already computed.
+
+    `problem` is the contact problem of the state if the start has a method `from_problem(state, solver, problem)`. The
+    step can then use the same problem. Raises ValueError on impulses that do not fit the contacts or are beyond
+    `state.arrays.LARGEST_START`.
     """
     problem = None
     if start is None or isinstance(start, str) or callable(start) or is_network(start):
         start = warm_start_of(start)
         if isinstance(start, Builtin):
-            return *start(state, solver), None  # the state's own, which have been checked
+            return *start(state, solver), None  # the impulses of a state are validated already
         if hasattr(start, "from_problem"):
             problem = step_problem(state, scales)
             start = start.from_problem(state, solver, problem)

@@ -1,14 +1,14 @@
 """Impulses at which a pile rests, from its positions alone: the convex relaxation of the contact problem.
 
 Coulomb's law has several solutions for one state: the same circles may rest or slide. Sweeps find a solution that
-slides. The minima of the relaxation ½ ‖M^½ (v + M⁻¹ Jᵀ λ)‖² over the cones |λ_t| ≤ μ λ_n (Anitescu 2006) are the
-solutions at rest, if there are any, since their energy is 0. If no solution rests, a minimum does not satisfy Coulomb's
-law: circles that slide also separate.
+slides. The relaxation minimises ½ ‖M^½ (v + M⁻¹ Jᵀ λ)‖² over the cones |λ_t| ≤ μ λ_n (Anitescu 2006). Its minima are
+the solutions at rest, if there are any, since their energy is 0. If no solution rests, a minimum does not satisfy
+Coulomb's law: circles that slide also separate.
 
-The method is that of accelerated projected gradients (Nesterov 1983), with restarts by the gradient scheme (O'Donoghue
-and Candès 2015). The length of a step follows from the largest eigenvalue, of which only a lower bound is known. If the
-Rayleigh quotient of a step is larger than this bound, the bound is raised, and later steps are shorter (backtracking,
-Beck and Teboulle 2009).
+The method is accelerated projected gradients (Nesterov 1983), with restarts by the gradient scheme (O'Donoghue and
+Candès 2015). The step length follows from the largest eigenvalue of J M⁻¹ Jᵀ, of which only a lower bound is known. If
+the Rayleigh quotient of a step is larger than this bound, the bound is raised, and later steps are shorter
+(backtracking, Beck and Teboulle 2009).
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ from deep_contact.stepping.rows import (
 )
 
 LOOKS = 25
-"""Iterations between two tests of whether the circles rest, and iterations of the power method."""
+"""Number of iterations between two tests whether the circles rest, and number of iterations of the power method."""
 
 SPARE = 1.1
-"""Factor on the lower bound of the largest eigenvalue."""
+"""Factor by which the lower bound of the largest eigenvalue is multiplied."""
 
 GOLDEN = 0.6180339887498949
 """Golden section. Its products with square numbers have no pattern modulo 1."""
 
 
 def at_rest(problem, normal, tangent, *, iterations: int, speed: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """(λ_n, λ_t, rms speed): impulses of the relaxation, (m,) each, N·s, and the speed of the circles after them, m/s.
+    """Return (λ_n, λ_t, rms speed): the impulses of the relaxation, (m,) each, N·s, and the speed that they leave, m/s.
 
     problem: `StepProblem` with tangent rows. normal, tangent: impulses to start from, (m,) each, N·s. iterations:
-    largest number of iterations. speed: rms speed at which the iterations end, m/s.
+    largest number of iterations. speed: rms speed of the circles at which the iterations end, m/s.
     """
     rows, v = problem.rows, problem.solver_bodies.copy()
     rows = rows._replace(impulse=np.column_stack([normal, tangent]))
@@ -57,7 +57,10 @@ def at_rest(problem, normal, tangent, *, iterations: int, speed: float) -> tuple
 
 @njit(cache=True, error_model="numpy", fastmath=CONTRACT)
 def relax_cones(rows, friction, v, iterations, speed):
-    """`at_rest`, in place on the impulses of the rows and on the velocities v, (n + 4, 4), which include them."""
+    """Do the iterations of `at_rest`, in place on impulses and velocities. Returns the rms speed of the circles, m/s.
+
+    v: solver bodies, (n + 4, 4). At the start their velocities include the effect of the impulses of the rows.
+    """
     impulse, old = rows.impulse, rows.impulse.copy()
     ahead, before, t = v.copy(), v.copy(), 1.0
     trial, largest = impulse.copy(), largest_eigenvalue(rows, friction, ahead)
@@ -65,7 +68,7 @@ def relax_cones(rows, friction, v, iterations, speed):
     for k in range(iterations):
         along, square = approach(rows, friction, ahead, 1.0 / largest, trial, old)
         before[:, :] = v
-        # From here to the next iteration `impulse` is the change, `old` the impulse itself.
+        # From here to the next iteration, `impulse` has the change of the impulses, and `old` the impulses.
         for i in range(impulse.shape[0]):
             for c in range(2):
                 impulse[i, c], old[i, c] = trial[i, c] - old[i, c], trial[i, c]
@@ -74,7 +77,7 @@ def relax_cones(rows, friction, v, iterations, speed):
         share, t = (t - 1.0) / following, following
         energy = energy_of_change(v, ahead)
         if energy > largest * square > 0.0:
-            # The trace bounds the eigenvalue, also if the change is nothing but rounding.
+            # The trace is an upper bound of the eigenvalue, which holds even if the change is only rounding error.
             largest, along = min(SPARE * energy / square, 4.0 * impulse.shape[0]), math.inf
         if along > 0.0:
             share, t = 0.0, 1.0
@@ -94,10 +97,11 @@ def relax_cones(rows, friction, v, iterations, speed):
 
 @njit(cache=True, error_model="numpy", fastmath=CONTRACT)
 def approach(rows, friction, v, step, trial, old):
-    """A step from the trial impulses against the gradient J v, in place, projected onto the cones.
+    """Move the trial impulses against the gradient J v, and project them onto the cones, in place.
 
-    Both rows of a contact are scaled by the effective mass of its normal row, which leaves its cone as it is. Returns
-    the gradient times the change from the old impulses, and the square of the scaled step.
+    Both rows of a contact are scaled by the effective mass of its normal row, so that the friction cone keeps its
+    shape. step: length of the step in the scaled impulses. old: impulses after the iteration before. Returns the
+    product of the gradient and the change from the old impulses, and the square of the step in the scaled impulses.
     """
     body, data, along, square = rows.body, rows.data, 0.0, 0.0
     for i in range(body.shape[0]):
@@ -113,7 +117,7 @@ def approach(rows, friction, v, step, trial, old):
 
 @njit(cache=True, error_model="numpy")
 def nearest_in_cone(p_n, p_t, friction):
-    """The point of the cone |λ_t| ≤ μ λ_n nearest to (p_n, p_t)."""
+    """Return the point of the cone |λ_t| ≤ μ λ_n that is nearest to (p_n, p_t)."""
     size = abs(p_t)
     if size <= friction * p_n:
         return p_n, p_t
@@ -123,10 +127,10 @@ def nearest_in_cone(p_n, p_t, friction):
 
 @njit(cache=True, error_model="numpy")
 def largest_eigenvalue(rows, friction, v):
-    """Largest eigenvalue of J M⁻¹ Jᵀ, scaled by the effective masses, by the power method, times `SPARE`.
+    """Return the largest eigenvalue of J M⁻¹ Jᵀ, scaled by the effective masses, from the power method, times `SPARE`.
 
-    The iteration starts from numbers without a pattern, which no symmetry of a scene makes orthogonal to the
-    eigenvector.
+    The power method starts from numbers without a pattern, which no symmetry of a scene makes orthogonal to the
+    eigenvector. v: solver bodies, (n + 4, 4), whose velocities are overwritten.
     """
     m, largest = rows.body.shape[0], 1.0
     x, impulse = np.empty((m, 2)), np.empty((m, 2))
@@ -152,7 +156,10 @@ def largest_eigenvalue(rows, friction, v):
 
 @njit(cache=True, error_model="numpy", fastmath=CONTRACT)
 def energy_of_change(v, before):
-    """Twice the kinetic energy of the difference of two velocities of the circles, J."""
+    """Return twice the kinetic energy of the difference between two velocities of the circles, J.
+
+    v, before: solver bodies with the two velocities, (n + 4, 4).
+    """
     total = 0.0
     for a in range(v.shape[0] - 4):
         x, y, s = v[a, V_X] - before[a, V_X], v[a, V_Y] - before[a, V_Y], v[a, V_S] - before[a, V_S]
@@ -163,7 +170,7 @@ def energy_of_change(v, before):
 
 @njit(cache=True, fastmath=CONTRACT)
 def rms_speed(v):
-    """Root mean square speed of the circles that are not fixed, m/s."""
+    """Return the root mean square speed of the circles that are not fixed, m/s. v: solver bodies, (n + 4, 4)."""
     total, n = 0.0, 0
     for a in range(v.shape[0] - 4):
         if v[a, INVERSE_MASS] > 0.0:

@@ -1,4 +1,7 @@
-"""Starts by name: where each one is, and which start an argument `warm_start=` means."""
+"""The table of starts by name, and the start that an argument `warm_start=` means.
+
+Tests: tests/starts/test_starts.py, tests/cnn/test_inference.py
+"""
 
 from __future__ import annotations
 
@@ -19,17 +22,20 @@ Name = Literal[Classical, "sph", "sph spline", "sph consistent", "cnn", "far fie
 
 
 class Network(Protocol):
-    """A network that predicts impulses: `cnn.inference.LearnedModel`."""
+    """A network that predicts impulses, such as `cnn.inference.LearnedModel`."""
 
     def predict(self, state: Any, *, problem: Any = None) -> Any: ...
 
 
 Start = Name | WarmStart | Network | Path | None
-"""What `warm_start=` takes: a name, a callable, a network or the path of its file; None is "none"."""
+"""Type of `warm_start=`: a name, a callable, a network, the path of its file, or None, which means "none"."""
 
 
 def _at(place: str, **options) -> Callable[[], WarmStart]:
-    """What makes the start of a class, "module:class", with these options. The module is imported by the call."""
+    """Return a function that makes a start of the class at `place`, "module:class", with these options.
+
+    The module is imported when the function is called.
+    """
     return lambda: imported(f"deep_contact.{place}")(**options)
 
 
@@ -46,19 +52,22 @@ STARTS: dict[Name, Callable[[], WarmStart]] = {
     "far field": _at("cnn.start:Cnn", model="far field"),
     "far field, no past": _at("cnn.start:FarFieldNoPast"),
 }
-"""Name -> what makes the start with its default options."""
+"""Name of a start -> function that makes the start with its default options."""
 
 RENAMED = {"learned support": "far field, no past"}
 """Former name of a start -> its present name."""
 
 
 def is_network(start) -> bool:
-    """Whether a start is a network or the path of one, "….h5"."""
+    """Return whether a start is a network or the path of a network file, "….h5"."""
     return hasattr(start, "predict") or isinstance(start, Path) or (isinstance(start, str) and start.endswith(".h5"))
 
 
 def _by_name(name: str) -> WarmStart:
-    """The start of this name. Raises ValueError on a name that is none, with the new name of an old one."""
+    """Return the start of this name.
+
+    Raises ValueError on an unknown name. For a former name the message has the present name.
+    """
     if name in RENAMED:
         raise ValueError(f"warm_start: {name!r} is called {RENAMED[name]!r} now")
     if name not in STARTS:
@@ -70,9 +79,9 @@ def _by_name(name: str) -> WarmStart:
 
 
 def warm_start_of(start: Start) -> WarmStart:
-    """The start that None, a name, a network or its path stands for; a callable is returned as it is.
+    """Return the start that None, a name, a network or the path of its file stands for.
 
-    Raises ValueError on any other value.
+    A callable is returned as it is. Raises ValueError on any other value.
     """
     if start is None or (isinstance(start, str) and not is_network(start)):
         return _by_name("none" if start is None else start)

@@ -1,12 +1,12 @@
-"""Impulses of a pile from its positions alone: loads are passed down from the top, circle by circle.
+"""Starting impulses of a pile from its positions alone: loads are passed down from the top, circle by circle.
 
 The method is for states whose contacts carry no impulses. Circles are visited from the highest to the lowest against
-gravity. The contacts on which a circle lies are solved as if the bodies below did not move, and the reactions are loads
-on these bodies: the force half of shock propagation (Guendelman, Bridson and Fedkiw, Nonconvex Rigid Bodies with
+gravity. The contacts on which a circle lies are solved as if the bodies below did not move. The reactions are loads on
+these bodies. This is the force half of shock propagation (Guendelman, Bridson and Fedkiw, Nonconvex Rigid Bodies with
 Stacking, SIGGRAPH 2003).
 
-Weakness: no load goes up again. Loads that an arch carries sideways, and loads that a circle's own supports cannot
-carry, are lost.
+Weakness: no load goes up again. Loads that an arch carries sideways are lost, and so are loads that the supports of a
+circle cannot carry.
 """
 
 from __future__ import annotations
@@ -30,11 +30,15 @@ from deep_contact.stepping.rows import (
 )
 
 LOCAL_SWEEPS = 3
-"""Sweeps over the contacts of one circle. For two contacts at 60°, each sweep leaves a quarter of the error."""
+"""Number of sweeps over the contacts on which one circle lies. For two contacts at 60°, each sweep leaves a quarter of
+the error."""
 
 
 def supported(state, problem) -> tuple[np.ndarray, np.ndarray]:
-    """Impulses (λ_n, λ_t) that carry loads down, (m,) each, N·s; 0 without gravity. problem: with tangent rows."""
+    """Return impulses (λ_n, λ_t) that carry loads down, (m,) each, N·s. Without gravity they are 0.
+
+    problem: `StepProblem` of the state, with tangent rows.
+    """
     gravity, m = np.array(state.world.gravity), state.contacts.count
     if not gravity.any():
         return np.zeros(m), np.zeros(m)
@@ -42,7 +46,7 @@ def supported(state, problem) -> tuple[np.ndarray, np.ndarray]:
     height = np.full(len(velocities), -np.inf)
     height[:n] = np.where(state.bodies.is_fixed, -np.inf, state.bodies.position @ -gravity)
     still = velocities.copy()
-    still[:n, :V_S] = state.bodies.velocity  # before gravity
+    still[:n, :V_S] = state.bodies.velocity  # velocities before gravity has acted
     rows = rows._replace(impulse=np.zeros((m, 2)))
     order = np.argsort(-height[:n], kind="stable")
     hand_down(rows, problem.friction, velocities, still, height, order)
@@ -51,10 +55,11 @@ def supported(state, problem) -> tuple[np.ndarray, np.ndarray]:
 
 @njit(cache=True, error_model="numpy")
 def hand_down(rows, friction, v, still, height, order):
-    """Fill the impulses of the rows, and change the velocities v, (n + 4, 4), of circles after gravity, in place.
+    """Fill the impulses of the rows by passing loads down, circle by circle, in place on the impulses and on v.
 
-    still: solver bodies with the velocities before gravity, for bodies that do not move. height: of the solver bodies.
-    order: circles from the highest down.
+    v: solver bodies, (n + 4, 4), after gravity has acted. still: solver bodies before gravity, whose velocities are
+    those of the lower bodies, as if loads did not move them. height: potential g h of each solver body, m²/s². order:
+    circles, highest first.
     """
     body, data, impulse = rows.body, rows.data, rows.impulse
     n, m = order.shape[0], body.shape[0]
@@ -74,7 +79,7 @@ def hand_down(rows, friction, v, still, height, order):
             for i in mine:
                 carry(a, i, rows, friction, v, still)
         for i in mine:
-            # The tangent impulse was bounded by the normal impulse before its last change.
+            # The normal impulse has changed since the tangent impulse was clamped, so it is clamped again.
             bound = friction * impulse[i, NORMAL]
             impulse[i, TANGENT] = max(-bound, min(impulse[i, TANGENT], bound))
             is_a = body[i, BODY_A] == a
@@ -85,14 +90,17 @@ def hand_down(rows, friction, v, still, height, order):
 
 @njit(cache=True)
 def upper_of(body, height, i):
-    """The body of contact i that lies on the other body."""
+    """Return the body of contact i that lies on the other body, that is, the higher body."""
     a, b = body[i, BODY_A], body[i, BODY_B]
     return a if height[a] >= height[b] else b
 
 
 @njit(cache=True, error_model="numpy")
 def carry(a, i, rows, friction, v, still):
-    """Relax contact i for circle a alone, in place on its velocity and the impulse: friction row, then normal row."""
+    """Relax contact i for circle a alone, first its friction row, then its normal row.
+
+    `still` has the velocity of the other body. The impulse of the contact and the velocity of circle a change in place.
+    """
     body, data, impulse = rows.body, rows.data, rows.impulse
     is_a = body[i, BODY_A] == a
     b, sign = (body[i, BODY_B], -1.0) if is_a else (body[i, BODY_A], 1.0)
@@ -111,7 +119,11 @@ def carry(a, i, rows, friction, v, still):
 
 @njit(cache=True)
 def push(v, a, sign, normal, arm, impulse):
-    """Apply an impulse (λ_n, λ_t), N·s, to body a, in place. sign: −1 if it is body_a of the contact, 1 if body_b."""
+    """Apply an impulse (λ_n, λ_t), N·s, to one body of a contact, in place.
+
+    a: the body. sign: −1 if it is body_a of the contact, 1 if it is body_b. arm: distance of the contact point from its
+    centre, divided by its radius.
+    """
     w, (n_x, n_y), (p_n, p_t) = v[a, INVERSE_MASS], normal, impulse
     v[a, V_X] += sign * w * (p_n * n_x + p_t * n_y)
     v[a, V_Y] += sign * w * (p_n * n_y - p_t * n_x)

@@ -1,16 +1,16 @@
-"""What a scene is: `World` (walls and constants), and the `State` that holds `Bodies` and `Contacts`.
+"""The data of a scene: `World` (box, segments, constants), and `State`, which holds a world, `Bodies` and `Contacts`.
 
 Conventions, said once, here:
 
 * SI units; an impulse λ is in N·s. Physics is float64.
-* The n circles are bodies 0 … n-1. The box is one static body; its walls are numbered n + 0 (floor),
-  n + 1 (right), n + 2 (ceiling) and n + 3 (left), so that two contacts of one circle in a corner differ. The
-  segments of `World.segments` follow, from n + 4 on.
-* A contact joins `body_a` < `body_b`. Its unit normal points from a to b, its tangent is (n_y, -n_x); relative
-  velocity is b minus a; a negative separation is penetration. The contact point lies in the middle of the overlap.
-  The impulse on b is λ_n n + λ_t t, on a the opposite.
-* Contacts are sorted by (body_a, body_b), each pair at most once. The solver sweeps in that order, so the order is
-  part of the result.
+* The n circles are bodies 0 … n-1. The box is one static body. Its walls have the numbers n + 0 (floor), n + 1 (right),
+  n + 2 (ceiling) and n + 3 (left), so that the two contacts of a circle in a corner differ. The segments of
+  `World.segments` follow, from n + 4 on.
+* A contact joins `body_a` < `body_b`. Its unit normal points from a to b, its tangent is (n_y, -n_x). Relative velocity
+  is b minus a. A negative separation is penetration. The contact point lies in the middle of the overlap. The impulse
+  on b is λ_n n + λ_t t, and the impulse on a is the opposite.
+* Contacts are sorted by (body_a, body_b), and each pair occurs at most once. The solver sweeps in that order, so the
+  order is part of the result.
 """
 
 from __future__ import annotations

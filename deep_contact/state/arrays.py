@@ -1,4 +1,7 @@
-"""The arrays of a state, `Bodies` and `Contacts`, and the limits within which the engine computes with them."""
+"""The arrays of a state: `Bodies`, `Contacts`, and the limits of the numbers with which the engine computes.
+
+Tests: tests/state/test_checks.py, tests/behaviour/test_tables.py
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,12 @@ from deep_contact.state import html
 from deep_contact.state.equality import by_value
 
 BOTTOM, RIGHT, TOP, LEFT = range(4)
-"""Numbers of the walls."""
+"""Numbers of the four walls of the box, counter-clockwise from the floor."""
 
 SIDES = ("floor", "right", "ceiling", "left")
 """Names of the walls for users, in the order of their numbers."""
 WALL_NORMALS = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
-"""Contact normals of the four walls, from circle to wall."""
+"""Unit normal of a contact with each wall, (4, 2), from the circle to the wall."""
 
 LIMITS = {
     "bodies.position": (-1e12, 1e12, "m"),
@@ -39,33 +42,35 @@ LIMITS = {
     "scales.wall_skin": (0.0, 1e11, "m"),
     "scales.max_correction": (0.0, 1e11, "m"),
 }
-"""Name -> smallest and largest value that the engine computes with, and their unit.
+"""Name of a quantity -> (smallest value, largest value, unit) with which the engine computes.
 
-A state may hold any finite number, and files keep it; the engine refuses numbers beyond these limits
-(`checks.check_limits`). Within the limits nothing overflows, whatever the combination: λ / m <= 1e90 m/s, whose square
-is a float. A step that begins within the limits ends within them: a body leaves it with at most `scales.FASTEST` m/s
-and rad/s, and the walls stop it. (Only impulses may grow beyond them, after a start of 1e50 N·s.) Circles whose radius
-is below 1e-13 of their distance from the origin sink into each other.
+A state may hold any finite number, and a file stores it. The engine raises ValueError for a number outside of these
+limits (`checks.check_limits`). Within the limits no combination of numbers overflows: λ / m is at most 1e90 m/s, and
+its square is still a float64. A step that begins within the limits ends within them, because it limits speeds and spins
+to `scales.FASTEST`, and the walls stop the circles. Impulses are the exception: after a start of 1e50 N·s they may
+leave their limits. Circles whose radius is below 1e-13 of their distance from the origin sink into each other, because
+float64 resolves their positions too coarsely.
 """
 
 LARGEST_START = 1e50
-"""Largest impulse of a start, N·s. It is below the limit of contacts, so that the solved impulses may exceed it."""
+"""Largest absolute value of an impulse from which a solve may start, N·s. It is below the limits of the impulses in
+`Contacts`, because solved impulses may exceed the starting impulses."""
 
 
 @by_value
 class Bodies(NamedTuple):
     """n circles (solid discs).
 
-    | field    | meaning                         | shape  | unit  |
-    |----------|---------------------------------|--------|-------|
-    | position | centre                          | (n, 2) | m     |
-    | velocity | velocity of the centre          | (n, 2) | m/s   |
-    | angle    | orientation, counter-clockwise  | (n,)   | rad   |
-    | spin     | angular velocity ω              | (n,)   | rad/s |
-    | mass     | mass; infinite: a fixed circle  | (n,)   | kg    |
-    | radius   | radius                          | (n,)   | m     |
+    | field    | meaning                           | shape  | unit  |
+    |----------|-----------------------------------|--------|-------|
+    | position | centre                            | (n, 2) | m     |
+    | velocity | velocity of the centre            | (n, 2) | m/s   |
+    | angle    | orientation, counter-clockwise    | (n,)   | rad   |
+    | spin     | angular velocity ω                | (n,)   | rad/s |
+    | mass     | mass; infinite for a fixed circle | (n,)   | kg    |
+    | radius   | radius                            | (n,)   | m     |
 
-    A fixed circle moves with its own velocity and spin, which no force or contact changes: if both are 0 it is a peg,
+    A fixed circle moves with its own velocity and spin, which no force or contact changes. If both are 0 it is a peg,
     otherwise a roller. Fixed circles, walls and segments have no contacts among themselves.
     """
 
@@ -78,27 +83,30 @@ class Bodies(NamedTuple):
 
     @property
     def count(self) -> int:
-        """Number of circles. (`len` of a NamedTuple is its number of fields.)"""
+        """Number of circles, n. (`len(bodies)` is the number of fields, as for every NamedTuple.)"""
         return self.mass.shape[0]
 
     @property
     def inertia(self) -> np.ndarray:
-        """Moment of inertia of a solid disc, m r² / 2, shape (n,), kg·m²."""
-        # m r² first: half of the smallest mass is 0, and 0 times an infinite r² would be no number.
+        """Moment of inertia of each circle as a solid disc, m r² / 2, (n,), kg·m²."""
+        # The product m r² comes first: half of the smallest float is 0, and 0 times an infinite r² would be NaN.
         return 0.5 * (self.mass * self.radius**2)
 
     @property
     def is_fixed(self) -> np.ndarray:
-        """Whether a circle is fixed, (n,)."""
+        """Whether each circle is fixed, that is, whether its mass is infinite, (n,), bool."""
         return np.isinf(self.mass)
 
     @property
     def free_mass(self) -> np.ndarray:
-        """Masses for sums over momentum and energy, (n,), kg: 0 for fixed circles, which belong to the walls."""
+        """Mass of each circle for sums of momentum and energy, (n,), kg. It is 0 for fixed circles."""
         return np.where(self.is_fixed, 0.0, self.mass)
 
     def table(self) -> dict[str, np.ndarray]:
-        """Columns x, y, v_x, v_y, angle, spin, mass, radius, (n,) each, which `pandas.DataFrame` and polars take."""
+        """Return the columns x, y, v_x, v_y, angle, spin, mass and radius by name, (n,) each, in the units above.
+
+        `pandas.DataFrame` and polars accept the result.
+        """
         (x, y), (v_x, v_y) = self.position.T, self.velocity.T
         return {"x": x, "y": y, "v_x": v_x, "v_y": v_y} | dict(zip(self._fields[2:], self[2:]))
 
@@ -110,17 +118,17 @@ class Bodies(NamedTuple):
 class Contacts(NamedTuple):
     """m contacts, sorted by (body_a, body_b).
 
-    | field           | meaning                                          | shape  | unit |
-    |-----------------|--------------------------------------------------|--------|------|
-    | body_a          | index of the first circle                        | (m,)   | –    |
-    | body_b          | second circle, n + wall, or n + 4 + segment      | (m,)   | –    |
-    | position        | contact point, in the middle of the overlap      | (m, 2) | m    |
-    | normal          | unit normal from a to b                          | (m, 2) | –    |
-    | separation      | gap along the normal; penetration if negative    | (m,)   | m    |
-    | normal_impulse  | λ_n, solved; in an unsolved state the start      | (m,)   | N·s  |
-    | tangent_impulse | λ_t, solved; in an unsolved state the start      | (m,)   | N·s  |
-    | normal_start    | λ_n that the solver starts from                  | (m,)   | N·s  |
-    | tangent_start   | λ_t that the solver starts from                  | (m,)   | N·s  |
+    | field           | meaning                                                                      | shape  | unit |
+    |-----------------|------------------------------------------------------------------------------|--------|------|
+    | body_a          | index of the first circle                                                    | (m,)   | –    |
+    | body_b          | index of the second circle; n + number of a wall; n + 4 + index of a segment | (m,)   | –    |
+    | position        | contact point, in the middle of the overlap                                  | (m, 2) | m    |
+    | normal          | unit normal from a to b                                                      | (m, 2) | –    |
+    | separation      | gap along the normal; negative for a penetration                             | (m,)   | m    |
+    | normal_impulse  | solved λ_n; in an unsolved state the starting λ_n                            | (m,)   | N·s  |
+    | tangent_impulse | solved λ_t; in an unsolved state the starting λ_t                            | (m,)   | N·s  |
+    | normal_start    | λ_n from which the solver starts                                             | (m,)   | N·s  |
+    | tangent_start   | λ_t from which the solver starts                                             | (m,)   | N·s  |
     """
 
     body_a: np.ndarray
@@ -135,18 +143,21 @@ class Contacts(NamedTuple):
 
     @property
     def count(self) -> int:
-        """Number of contacts."""
+        """Number of contacts, m."""
         return self.body_a.shape[0]
 
     @property
     def have_past(self) -> bool:
-        """Whether any contact starts from an impulse of an earlier step. Contacts of positions alone do not."""
+        """Whether any starting impulse differs from 0.
+
+        It does after an earlier step. It does not if the contacts follow from positions alone.
+        """
         return bool(self.normal_start.any() or self.tangent_start.any())
 
     def table(self) -> dict[str, np.ndarray]:
-        """Columns body_a, body_b, x, y, n_x, n_y and the other fields by name, (m,) each; units as above.
+        """Return the columns body_a, body_b, x, y, n_x, n_y and the other fields by name, (m,) each.
 
-        `dc.contact_table(state)` names walls and segments, and has forces.
+        Units are those above. `dc.contact_table(state)` also names walls and segments, and has forces.
         """
         (x, y), (n_x, n_y) = self.position.T, self.normal.T
         places = {"x": x, "y": y, "n_x": n_x, "n_y": n_y}
@@ -158,17 +169,23 @@ class Contacts(NamedTuple):
 
 
 def body_name(body: int, circles: int) -> int | str:
-    """A body of a contact, as users name it: index of a circle, "floor", or "segment 3". circles: their number."""
+    """Return a body of a contact as users name it: the index of a circle, "floor", or "segment 3".
+
+    body: value of `body_a` or `body_b`. circles: number of circles, n. The names of the walls are those of `SIDES`.
+    """
     beyond = body - circles
     return body if beyond < 0 else SIDES[beyond] if beyond < 4 else f"segment {beyond - 4}"
 
 
 def corners(box: tuple) -> list[tuple[float, float]]:
-    """Corners of a box, counter-clockwise from (x_min, y_min), so that the edge from corner k to the next is wall k."""
+    """Return the four corners (x, y) of a box, m, counter-clockwise from (x_min, y_min).
+
+    The edge from corner k to the next corner is wall k. box: (x_min, y_min, x_max, y_max), m.
+    """
     x_min, y_min, x_max, y_max = box
     return [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
 
 
 def no_contacts() -> Contacts:
-    """`Contacts` of length 0."""
+    """Return `Contacts` of length 0."""
     return Contacts(*(np.zeros(0, np.int64),) * 2, *(np.zeros((0, 2)),) * 2, *(np.zeros(0),) * 5)

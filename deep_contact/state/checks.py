@@ -1,7 +1,7 @@
-"""The rules of a valid state: `check_state` for any state, `check_limits` for states that the engine computes with.
+"""Validation of a whole state: `check_state` applies the rules of any state, `check_limits` the limits of the engine.
 
-Readers of files and data sets apply the same rules (`contact_faults`); `stepping.prepare` has the rules as compiled
-code.
+Readers of files and data sets share the rules for contacts (`fields.contact_faults`). `stepping.prepare` has the rules
+as compiled code.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from deep_contact.state.world import World
 
 
 def check_state(state: State) -> State:
-    """The state, if its fields have the right types, with all arrays validated and owned.
+    """Return the state with validated copies of all arrays, if all its fields have the right types.
 
     Raises ValueError naming the field and the value.
     """
@@ -22,7 +22,7 @@ def check_state(state: State) -> State:
 
 
 def with_checked_arrays(state: State) -> State:
-    """The state with all arrays validated and owned. Raises ValueError naming the field and the value."""
+    """Return the state with validated copies of all arrays. Raises ValueError naming the field and the value."""
     bodies, contacts = check_bodies(state.bodies), state.contacts
     if contacts is not None:
         contacts = check_contacts(contacts, bodies, len(state.world.segments))
@@ -30,7 +30,7 @@ def with_checked_arrays(state: State) -> State:
 
 
 def check_types(state) -> State:
-    """The state itself, if its fields have the right types. Raises ValueError naming the field."""
+    """Return the state unchanged if its fields have the right types. Raises ValueError naming the field."""
     if not isinstance(state, State):
         raise ValueError(f"state: expected a State, as of dc.circles_in_box or dc.read_state, got {brief(state)}")
     for name, kind in (("world", World), ("bodies", Bodies), ("contacts", Contacts)):
@@ -47,13 +47,19 @@ def check_types(state) -> State:
 
 
 def check_solution(state: State) -> None:
-    """Raise ValueError where a state does not hold the solution of its contact problem (`State.holds_solution`)."""
+    """Raise ValueError if the contacts of a state do not hold the solution of one contact problem.
+
+    `State.holds_solution` has the condition.
+    """
     if state.contacts is None or not state.holds_solution:
         raise ValueError(f"state.solved: expected a state of one solve, without substeps and rebounds, got {state!r}")
 
 
 def check_limits(state: State) -> State:
-    """The state itself, if all it holds is within `LIMITS`. Raises ValueError naming the quantity, limits and value."""
+    """Return the state unchanged if all its numbers are within `LIMITS`.
+
+    Raises ValueError naming the quantity, its limits and its value.
+    """
     bodies, contacts, world = state.bodies, state.contacts, state.world
     for message in beyond_limits(bodies=bodies, contacts=contacts, world=world, dt=state.dt, scales=state.scales):
         raise ValueError(message)

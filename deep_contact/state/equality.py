@@ -1,4 +1,4 @@
-"""Equality of values that hold arrays: `==` and `in` of states and of results."""
+"""Equality of objects that hold arrays: `==` and `in` for states and results."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ K = TypeVar("K", bound=type)
 
 
 def by_value(kind: K) -> K:
-    """Class decorator: two instances are equal if they are of the same class and all their fields are `same`.
+    """Decorate a class so that two of its instances are equal if all their fields are equal by `same`.
 
-    Without it, `==` of two NamedTuples of arrays has no truth value, and `in` fails. Instances cannot be hashed.
+    Without the decorator, `==` and `in` raise an error for NamedTuples of arrays, since `==` of two arrays is an array.
+    Instances of different classes are not equal. Instances cannot be hashed.
     """
 
     def is_equal(self, other):
@@ -25,12 +26,12 @@ def by_value(kind: K) -> K:
 
 
 def same(one, other) -> bool:
-    """Whether two values are equal: numbers, arrays, texts, and containers of these. NaN equals NaN."""
+    """Return whether two values are equal: numbers, arrays, texts, and containers of these. NaN equals NaN."""
     if one is other:
         return True
     if isinstance(one, np.ndarray) or isinstance(other, np.ndarray):
         return _same_arrays(np.asarray(one), np.asarray(other)) if type(one) is type(other) else False
-    if hasattr(one, "nnz") and hasattr(other, "nnz"):  # matrices of scipy.sparse
+    if hasattr(one, "nnz") and hasattr(other, "nnz"):  # sparse matrices of SciPy
         return one.shape == other.shape and (one != other).nnz == 0
     if hasattr(one, "get_weights") and hasattr(other, "get_weights"):  # models of Keras
         return one.to_json() == other.to_json() and same(one.get_weights(), other.get_weights())
@@ -42,7 +43,7 @@ def same(one, other) -> bool:
 
 
 def _parts(value) -> tuple:
-    """The fields of an instance that take part in the comparison."""
+    """Return the values of the fields that count in a comparison of two instances."""
     if is_dataclass(value):
         return tuple(getattr(value, field.name) for field in fields(value) if field.compare)
     return tuple(value)

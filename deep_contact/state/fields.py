@@ -1,4 +1,7 @@
-"""The fields of a state, checked one by one: bodies, contacts, the world, pushes, indices."""
+"""Validation of the fields of a state: bodies, contacts, the world, pushes and indices.
+
+Tests: tests/state/test_checks.py, tests/state/test_state.py
+"""
 
 from __future__ import annotations
 
@@ -27,19 +30,20 @@ if TYPE_CHECKING:
     from deep_contact.state.world import World
 
 UNIT = 1e-4
-"""Largest deviation of the length of a normal from 1."""
+"""Largest difference between 1 and the length of a vector that counts as a unit vector."""
 
 
 @suggesting
 def make_bodies(
     position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None, fixed=False
 ) -> Bodies:
-    """Circles from their centres; every other argument is one value for all circles, or one for each.
+    """Make circles from their centres. Every other argument is one value for all circles, or one value for each circle.
 
-    position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. angle: rad, counter-clockwise. spin: rad/s,
-    counter-clockwise. density: kg/m², used if `mass` is None. mass: kg. fixed: True for circles whose motion no force
-    or contact changes; their mass is infinite (`Bodies`), whatever `mass` and `density` are.
-    Raises ValueError naming the field, the body and the value.
+    position: centres, (n, 2), m. radius: radii, m. velocity: velocities of the centres, (2,) or (n, 2), m/s. angle:
+    orientations, rad, counter-clockwise. spin: angular velocities, rad/s, counter-clockwise. density: mass per area,
+    kg/m², used if `mass` is None. mass: masses, kg. fixed: whether no force or contact changes the motion of a circle;
+    a fixed circle has an infinite mass (`Bodies`), whatever `mass` and `density` are. Raises ValueError naming the
+    field, the body and the value.
     """
     places = real_numbers(position)
     if places is None or np.atleast_2d(places).shape[1:] != (2,):
@@ -47,7 +51,7 @@ def make_bodies(
     position = np.atleast_2d(places)
     n = position.shape[0]
     radius = _for_each("radius", radius, (n,))
-    refuse_where(radius <= 0, "bodies.radius", radius, "a number > 0")  # before a mass is made of it
+    refuse_where(radius <= 0, "bodies.radius", radius, "a number > 0")  # before a mass is computed from it
     if mass is None:
         density = _for_each("density", density, (n,))
         refuse_where(~(density > 0), "density", density, "a number > 0")
@@ -61,7 +65,10 @@ def make_bodies(
 
 
 def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
-    """A value for all circles, or one for each, as an array of this shape."""
+    """Return one value for all circles, or a value for each circle, as an array of this shape.
+
+    shape: (n,) or (n, 2). Raises ValueError for values that are not numbers, and for values of another shape.
+    """
     with suppress(ValueError):
         if (numbers := real_numbers(value)) is not None:
             return np.broadcast_to(numbers, shape)
@@ -70,7 +77,10 @@ def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def checked_world(world: World) -> dict:
-    """The fields of a world, validated, in the form that it keeps. Raises ValueError naming the field and the value."""
+    """Return the validated fields of a world by name, in the form in which `World` stores them.
+
+    Raises ValueError naming the field and the value.
+    """
     segments = _checked_segments(world.segments)
     box = several("box", world.box, 4, expected="finite numbers, (x_min, y_min, x_max, y_max)")
     fits = box[0] < box[2] and box[1] < box[3]
@@ -86,16 +96,16 @@ def checked_world(world: World) -> dict:
 
 
 def check_bodies(bodies: Bodies) -> Bodies:
-    """The bodies, validated, with contiguous float64 copies of all arrays.
+    """Return the bodies with validated, contiguous float64 copies of all arrays.
 
     Raises ValueError naming the field, the body and the value.
     """
-    if not isinstance(bodies, Bodies):  # not by `expect`, whose message would take longer than the checks
+    if not isinstance(bodies, Bodies):  # not by `expect`: formatting its message would take longer than the checks
         raise ValueError(f"bodies: expected Bodies, as dc.make_bodies makes them, got {brief(bodies)}")
     n = _length("bodies.mass", bodies.mass)
     if _are_plain(bodies, n):
         return Bodies(*map(np.copy, bodies))
-    # The radius first: if a mass was computed from it, the radius is at fault.
+    # The radius is checked first: if a bad mass was computed from a bad radius, the message names the radius.
     names = sorted(Bodies._fields, key=lambda name: name != "radius")
     fields = {name: _checked_array("bodies", name, getattr(bodies, name), n) for name in names}
     for name in ("mass", "radius"):
@@ -104,7 +114,10 @@ def check_bodies(bodies: Bodies) -> Bodies:
 
 
 def _are_plain(bodies: Bodies, n: int) -> bool:
-    """Whether all arrays are contiguous float64 of the right shape and valid: most are, and one look tells."""
+    """Return whether all arrays are contiguous float64 arrays of the right shape with valid values.
+
+    This one fast test accepts most bodies, which then need no further check.
+    """
     shapes = (n, 2), (n, 2), (n,), (n,), (n,), (n,)
     for array, shape in zip(bodies, shapes):
         if type(array) is not np.ndarray or array.dtype != np.float64 or array.shape != shape or not array.flags.carray:
@@ -115,9 +128,10 @@ def _are_plain(bodies: Bodies, n: int) -> bool:
 
 
 def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Contacts:
-    """The contacts, validated against the bodies, with contiguous copies of all arrays, sorted by (body_a, body_b).
+    """Return the contacts sorted by (body_a, body_b), with validated, contiguous copies of all arrays.
 
-    segments: number of segments of the world. Raises ValueError naming the field, the contact and the value.
+    bodies: the circles to which the contacts refer. segments: number of segments of the world. Raises ValueError naming
+    the field, the contact and the value.
     """
     m, n = _length("contacts.body_a", contacts.body_a), bodies.count
     fields = {name: _checked_array("contacts", name, value, m) for name, value in contacts._asdict().items()}
@@ -132,10 +146,11 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
 
 
 def contact_faults(fields: Mapping, n: int, segments: int) -> Iterator[tuple[str, np.ndarray, str]]:
-    """Yield (field, flags of the contacts at fault, (m,), what is expected) of contacts among n circles.
+    """Yield the name of a field, flags of the contacts that break its rule, (m,), and the rule in words.
 
-    fields: arrays of `Contacts`, (m, …) each. segments: number of segments of the world. A contact may not carry a
-    tensile impulse. Starts are not checked here, since they are only hints to the solver.
+    fields: arrays of `Contacts` by name, (m, …) each. n: number of circles. segments: number of segments of the world.
+    A negative normal impulse, which would be tensile, breaks a rule. Starting impulses have no rule, since the solver
+    only begins from them.
     """
     a, b, end, fixed = fields["body_a"], fields["body_b"], n + 4 + segments, "walls, segments" if segments else "walls"
     yield "body_a", (a < 0) | (a >= n), f"a circle, 0 to {n - 1}"
@@ -145,11 +160,14 @@ def contact_faults(fields: Mapping, n: int, segments: int) -> Iterator[tuple[str
 
 
 def check_kept_contacts(before: State, after: State) -> None:
-    """Raise ValueError if contacts that a state keeps would refer to other bodies than before."""
+    """Raise ValueError if the contacts of a state would refer to other bodies in a changed state.
+
+    before: state with the contacts. after: state with the same contacts, but other circles or another world.
+    """
     hint = "; contacts=None lets them be found, `State.with_bodies` keeps the impulses"
     n, contacts = before.bodies.count, before.contacts
     mass = after.bodies.mass if isinstance(after.bodies, Bodies) else before.bodies.mass
-    circles = len(mass) if isinstance(mass, (list, tuple)) else np.size(mass)  # a list may be ragged
+    circles = len(mass) if isinstance(mass, (list, tuple)) else np.size(mass)  # `np.size` fails on ragged lists
     if circles != n and contacts.count:
         raise ValueError(f"bodies: expected {n} circles, as the contacts have, got {circles}{hint}")
     old, new = (getattr(state.world, "segments", ()) for state in (before, after))
@@ -159,8 +177,11 @@ def check_kept_contacts(before: State, after: State) -> None:
 
 
 def warn_of_jumps(before: World, after: World) -> bool:
-    """Warn if a segment changes its position without having a velocity. Returns whether a segment does."""
-    count = len(after.segments) if len(before.segments) == len(after.segments) else 0  # none to compare
+    """Warn if a segment has another position in the second world, but no velocity there.
+
+    Returns whether there is such a segment. Worlds with different numbers of segments are not compared.
+    """
+    count = len(after.segments) if len(before.segments) == len(after.segments) else 0  # unequal numbers: no comparison
     for k in range(count):
         is_still = not after.segment_velocities or not any(after.segment_velocities[k])
         if before.segments[k] != after.segments[k] and is_still:
@@ -170,7 +191,11 @@ def warn_of_jumps(before: World, after: World) -> bool:
 
 
 def checked_push(push, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Forces, (n, 2), N, and torques, (n,), N·m, from an array of forces or a tuple of both. Raises ValueError."""
+    """Return the external forces, (n, 2), N, and torques, (n,), N·m, of a push as float64 arrays.
+
+    push: array of forces, or a tuple (forces, torques); without torques these are 0. count: number of circles, n.
+    Raises ValueError naming what was expected and the value.
+    """
     both = push if isinstance(push, tuple) and len(push) == 2 else (push, np.zeros(count))
     arrays = [real_numbers(values) for values in both]
     shapes = [getattr(values, "shape", None) for values in arrays]
@@ -181,7 +206,10 @@ def checked_push(push, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def checked_indices(name: str, which, count: int) -> np.ndarray:
-    """Indices from 0 to `count` − 1, from indices or from `count` flags. Raises ValueError unless they are distinct."""
+    """Return distinct indices from 0 to `count` − 1.
+
+    which: one index, several indices, or `count` flags. Raises ValueError if an index occurs twice or is out of range.
+    """
     chosen = np.asarray(which)
     if chosen.dtype == bool and chosen.shape == (count,):
         chosen = np.flatnonzero(chosen)
@@ -194,22 +222,23 @@ def checked_indices(name: str, which, count: int) -> np.ndarray:
 
 
 def is_unit(normal: np.ndarray) -> np.ndarray:
-    """Whether each of the vectors, (m, 2), has length 1, (m,)."""
+    """Return whether each vector of `normal`, (m, 2), has the length 1 to within `UNIT`, (m,), bool."""
     with np.errstate(over="ignore"):
         return np.abs(np.hypot(*normal.T) - 1) <= UNIT
 
 
 def beyond_limits(**parts) -> Iterator[str]:
-    """Messages on the quantities beyond `LIMITS`, in its order: the quantity, what is expected, the value.
+    """Yield a message for each quantity outside of `LIMITS`, with its name, its value and its limits.
 
-    parts: fields of a state, by name.
+    If the quantity is an array, the message has the index of the first such value. parts: fields of a state by name,
+    such as `bodies` and `dt`. Quantities of fields that are missing or None are skipped.
     """
     for name, (low, high, unit) in LIMITS.items():
         owner, _, field = name.partition(".")
         if (part := parts.get(owner)) is not None:
             values = np.asarray(getattr(part, field) if field else part)
             if name == "bodies.mass":
-                values = np.where(np.isposinf(values), high, values)  # masses of fixed circles
+                values = np.where(np.isposinf(values), high, values)  # fixed circles are within the limits
             for at in np.argwhere(~((values >= low) & (values <= high)))[:1].tolist():
                 expected = f"{low:g} to {high:g} {unit}".rstrip()
                 yield f"{name}{at or ''}: expected {expected}, got {values[tuple(at)]}"
@@ -226,7 +255,7 @@ def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
     for index, ends in enumerate(checked):
         fits = len(ends) == 4 and np.isfinite(ends).all()
         along = (ends[2] - ends[0], ends[3] - ends[1]) if fits else (0.0, 0.0)
-        # The squared length is what the engine divides by. It may be infinite: `LIMITS` refuse such a segment.
+        # The engine divides by the squared length. If that is infinite, `LIMITS` refuse the segment later.
         if along[0] * along[0] + along[1] * along[1] == 0.0:
             expected = "two different points, ((x, y), (x, y)), of finite numbers"
             raise ValueError(f"segments[{index}]: expected {expected}, got {brief(segments[index])}")
@@ -254,23 +283,26 @@ def _checked_scales(scales) -> ContactScales | None:
     expect(is_known, f"scales: expected None or ContactScales, such as scales.BOX2D, got {brief(scales)}")
     limits = {"max_translation": {"above": 0}}
     named = scales._asdict().items()
-    # Integers become floats, for which compiled code is compiled.
+    # Integers become floats, the type for which the engine is compiled.
     return ContactScales(*(number(f"scales.{name}", v, **limits.get(name, {"low": 0})) for name, v in named))
 
 
 def _length(name: str, values) -> int:
-    """Length of a one-dimensional array."""
+    """Return the length of an array of one dimension. Raises ValueError for any other number of dimensions."""
     try:
         shape = np.shape(values)
-    except ValueError:  # ragged rows
+    except ValueError:  # rows of unequal length
         shape = ()
-    if len(shape) != 1:  # checked first, since NumPy takes milliseconds to print an array
+    if len(shape) != 1:  # not by `expect`: NumPy takes milliseconds to print an array for its message
         raise ValueError(f"{name}: expected an array of one dimension, got {brief(values)}")
     return shape[0]
 
 
 def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
-    """A validated copy of the array of a field: float64, or int64 for indices."""
+    """Return a validated copy of the array of a field: int64 for indices of bodies, float64 for all other fields.
+
+    owner: "bodies" or "contacts", for the message. name: name of the field. count: number of bodies or contacts.
+    """
     shape = (count, 2) if name in ("position", "velocity", "normal") else (count,)
     if name in ("body_a", "body_b"):
         index = np.asarray(value)

@@ -1,4 +1,7 @@
-"""HTML of what notebooks show: tables, pictures and pages."""
+"""HTML for notebooks: tables, pictures and framed pages.
+
+Tests: tests/plot/test_notebook.py
+"""
 
 from __future__ import annotations
 
@@ -9,11 +12,14 @@ from html import escape
 import numpy as np
 
 MOST_ROWS = 10
-"""Most rows of a table of arrays."""
+"""Largest number of rows that a table of arrays shows."""
 
 
 def shown(title: str, rows: Iterable[Sequence], picture: str = "", header: Sequence[str] = ()) -> str:
-    """HTML of a title, a table, and a picture beside it. rows: a name and values each. header: of the columns."""
+    """Return HTML of a title, a table, and a picture beside the table.
+
+    rows: (name, value, …) of each row. picture: HTML of the picture, or "". header: names of the columns, or ().
+    """
     body = f"<tr>{''.join(f'<th>{escape(name)}</th>' for name in header)}</tr>" if header else ""
     for name, *values in rows:
         cells = "".join(f"<td>{escape(str(value))}</td>" for value in values)
@@ -23,7 +29,10 @@ def shown(title: str, rows: Iterable[Sequence], picture: str = "", header: Seque
 
 
 def arrays_shown(title: str, columns: dict[str, np.ndarray]) -> str:
-    """HTML of the first rows of arrays of one length, as a table of their names and numbers."""
+    """Return HTML of a table with a column for each array and a row for each index, cut after `MOST_ROWS` rows.
+
+    columns: name -> array. All arrays have the same length.
+    """
     count = len(next(iter(columns.values())))
     rows = [[i, *(_text(column[i]) for column in columns.values())] for i in range(min(count, MOST_ROWS))]
     if count > MOST_ROWS:
@@ -36,16 +45,16 @@ def _text(value) -> str:
 
 
 def image(kind: str, data: bytes) -> str:
-    """HTML of a picture from its bytes. kind: "png" or "gif"."""
+    """Return HTML of a picture. kind: "png" or "gif". data: content of the picture file."""
     return f'<img src="data:image/{kind};base64,{base64.b64encode(data).decode()}">'
 
 
 def framed(page: str) -> str:
-    """HTML of a page in a frame of its own: its scripts and styles do not meet those of the notebook."""
+    """Return HTML of a page in a frame, which separates its scripts and styles from those of the notebook."""
     style = "width:100%;height:640px;border:1px solid #c8c8c8"
     return f'<iframe sandbox="allow-scripts" style="{style}" srcdoc="{escape(page)}"></iframe>'
 
 
 def counted(number: int, thing: str) -> str:
-    """1 contact, 2,000 contacts."""
+    """Return a number with its noun, such as "1 contact" or "2,000 contacts"."""
     return f"{number:,} {thing}{'' if number == 1 else 's'}"

@@ -1,4 +1,4 @@
-"""`State`: a moment of a simulation."""
+"""`State`: bodies, contacts and world at one time of a simulation."""
 
 from __future__ import annotations
 
@@ -23,23 +23,26 @@ S, T = TypeVar("S", bound="State"), TypeVar("T")
 @suggesting
 @dataclass(frozen=True, kw_only=True, repr=False)
 class State:
-    """A moment of a simulation: the bodies before a step, and the contacts at their positions.
+    """The state of a simulation at one time: the bodies before a step, and the contacts at their positions.
 
-    A scene is a state at time 0. `contacts` is None until collision detection has run. `solver` is the solver of the
-    run (options of `solvers`), or None.
-    If `solved`, the contacts hold the impulses of the step that begins with this state, summed over its substeps and
-    rebounds. If not, they hold the impulses carried over from the step before, from which the start Builtin begins.
-    Either way, `dc.step(state)` does the step from `normal_start` and `tangent_start`, and a run that is written out
-    and read back goes on bit for bit.
-    `load` is a digest of what the impulses were solved for (`starts.changed_load`), or None if that is unknown, as in a
-    file. `preset` is the name of the preset that chose the solver (`simulate(accuracy=…)`): a run that goes on under
-    this preset keeps the solver.
-    `push` is the external load on the circles in the step that begins with this state, beside gravity: forces (n, 2),
-    N, and torques (n,), N·m; or None. A run replaces it by its own push, or by None (`simulate(push=…)`), and
+    A scene is a state at time 0. `contacts` is None until collision detection has run. `solver` has the solver options
+    of the run (`solvers`), or is None.
+
+    If `solved` is True, the contacts hold the impulses of the step that begins with this state, summed over its
+    substeps and rebounds. If it is False, they hold the impulses of the step before, from which the start Builtin
+    begins. In both cases `dc.step(state)` does the step from `normal_start` and `tangent_start`. A run that is written
+    to a file and read back continues bit for bit.
+
+    `load` is a digest of the load for which the impulses were solved (`starts.changed_load`), or None if the load is
+    unknown, as in a state from a file. `preset` is the name of the preset that chose the solver
+    (`simulate(accuracy=…)`). A run that continues under the same preset has the same solver.
+
+    `push` is the external load on the circles besides gravity in the step that begins with this state: forces (n, 2),
+    N, and torques (n,), N·m; or None. A run replaces it by its own push, or by None (`simulate(push=…)`).
     `solve_contacts` applies it. Files do not store it.
 
-    States are equal if all their fields except `load`, `push` and `preset` are equal. The fields cannot be assigned.
-    No function of this package writes into the arrays of a state, and no later step does.
+    States are equal if all their fields except `load`, `push` and `preset` are equal. The fields cannot be assigned. No
+    function of this package writes into the arrays of a state, and no later step does.
     """
 
     name: str
@@ -61,20 +64,21 @@ class State:
 
     @property
     def holds_solution(self) -> bool:
-        """Whether the contacts hold the solution of their contact problem: of a step without substeps and rebounds."""
+        """Whether the impulses solve a single contact problem, as after a step without substeps and restitution."""
         is_divided = self.solver is not None and self.solver.substeps * self.solver.motion_parts > 1
         return self.solved and self.world.restitution == 0.0 and not is_divided
 
     @property
     def scales(self) -> ContactScales:
-        """Lengths, speeds and times of the contact model in the steps of this state (`scales.contact_scales`)."""
+        """Lengths, speeds and times of the contact model in the steps from this state (`scales.contact_scales`)."""
         return contact_scales(self.bodies.radius, self.world.gravity, self.dt, self.world.scales)
 
     def replace(self: S, **changes) -> S:
-        """A copy with some fields changed. A change of bodies, world, dt or solver sets `preset` to None.
+        """Return a copy with some fields changed. A change of bodies, world, dt or solver sets `preset` to None.
 
-        Raises ValueError if the contacts are kept but would refer to other bodies: if the number of circles changes, or
-        a segment that has contacts. Warns if a segment changes its position in the course of a run.
+        Raises ValueError if the contacts stay, but would refer to other bodies: if the number of circles changes, or if
+        the number of segments changes and a segment with contacts is no longer the same. Warns if a segment without
+        velocity gets another position after step 0.
         """
         if self.preset is not None and not changes.keys().isdisjoint(("bodies", "world", "dt", "solver")):
             changes.setdefault("preset", None)
@@ -86,12 +90,12 @@ class State:
         return changed
 
     def with_bodies(self, *, add: Bodies | None = None, remove: Sequence | np.ndarray = ()) -> State:
-        """The state with some circles removed and others appended, ready to go on.
+        """Return the state with some circles removed and others appended, as the start of further steps.
 
-        Contacts of the circles that stay keep their impulses; contacts of the added circles are found.
+        Contacts of the circles that stay keep their impulses. Contacts of the added circles are detected.
 
-        add: circles of `make_bodies`. remove: indices of circles, or a flag for each. Raises ValueError on an index
-        that no circle has.
+        add: circles from `make_bodies`. remove: indices of circles, or a flag for each circle. Raises ValueError on an
+        index that no circle has.
         """
         n, removed = self.bodies.count, checked_indices("remove", remove, self.bodies.count)
         stays = np.delete(np.arange(n), removed)
@@ -112,7 +116,7 @@ class State:
         return f"State({self.name!r}, {', '.join(self._summary().values())})"
 
     def _repr_html_(self) -> str:
-        """HTML for notebooks: numbers, and a picture of circles and impulses."""
+        """Return HTML for notebooks: a summary in numbers, and a picture of circles and impulses."""
         return html.shown(f"State {self.name!r}", self._summary().items(), imported(HOOKS["picture"])(self))
 
     def _summary(self) -> dict[str, str]:
@@ -123,7 +127,7 @@ class State:
         return summary | ({"impulses": "solved"} if self.solved else {})
 
     def _walls(self) -> str:
-        """Numbers of contacts of the walls and of all segments, as text: "floor 9, left 2, segments 4"."""
+        """Return the numbers of contacts of each wall and of all segments, as text: "floor 9, left 2, segments 4"."""
         beyond = np.zeros(0, int) if self.contacts is None else self.contacts.body_b - self.bodies.count
         touched = Counter(SIDES[wall] if wall < 4 else "segments" for wall in np.sort(beyond[beyond >= 0]))
         return ", ".join(f"{name} {count:,}" for name, count in touched.items())
@@ -132,7 +136,7 @@ class State:
 if TYPE_CHECKING:
 
     class StateWithContacts(State):
-        """A state whose `contacts` is not None, as runs return it. The class exists for type checkers alone."""
+        """A state whose `contacts` is not None. Runs return such states. The class exists for type checkers alone."""
 
         contacts: Contacts
 
@@ -141,7 +145,7 @@ else:
 
 
 def native(state: State) -> State:
-    """The state with all arrays in the byte order of this machine: Numba compiles for no other."""
+    """Return the state with all arrays in the byte order of this machine, the only one that Numba supports."""
     for name, part in (("bodies", state.bodies), ("contacts", state.contacts)):
         if part is not None and not all([array.dtype.isnative for array in part]):
             arrays = [array.astype(array.dtype.newbyteorder("="), copy=False) for array in part]
@@ -150,21 +154,21 @@ def native(state: State) -> State:
 
 
 def changed(part: T, **fields) -> T:
-    """A copy of a `State` or `World` with other fields, unchecked, which takes less time than `replace`."""
+    """Return a copy of a `State` or `World` with other fields. It does not validate, and is faster than `replace`."""
     new = object.__new__(type(part))
     vars(new).update(vars(part), **fields)
     return new
 
 
 def frozen(array: np.ndarray) -> np.ndarray:
-    """A read-only copy of an array."""
+    """Return a read-only copy of an array."""
     array = array.copy()
     array.flags.writeable = False
     return array
 
 
 def read_only(state: S) -> S:
-    """The state with read-only views of its arrays."""
+    """Return the state with read-only views of its arrays."""
 
     def view(array: np.ndarray) -> np.ndarray:
         array = array.view()
@@ -175,7 +179,10 @@ def read_only(state: S) -> S:
 
 
 def contact_lines(state: State) -> np.ndarray:
-    """A line for each contact, (m, 2, 2), m: from the centre of one circle to that of the other, or to the wall."""
+    """Return the ends of a line for each contact, (m, 2, 2), m, for drawings.
+
+    A line joins the centres of two circles, or the centre of a circle and its contact point on a wall or a segment.
+    """
     bodies, contacts = state.bodies, state.contacts or no_contacts()
     ends, between = contacts.position.copy(), contacts.body_b < bodies.count
     ends[between] = bodies.position[contacts.body_b[between]]

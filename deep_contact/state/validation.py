@@ -1,6 +1,6 @@
-"""Validation at the border of the package: every function checks one argument and returns it as a plain Python value.
+"""Validation of arguments. Most functions here check one argument of a public function and return it as a plain value.
 
-All functions raise ValueError in the form "name: expected …, got …".
+They raise ValueError in the form "name: expected …, got …". The argument `name` is the name in this message.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ _SHORT.maxstring = _SHORT.maxother = 120
 
 
 def brief(value) -> str:
-    """`repr(value)` on one line, cut where it is long: for messages."""
+    """Return `repr(value)` for messages, on one line and shortened if it is long."""
     return " ".join(_SHORT.repr(value).split())
 
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
-    """Warn, with the line of the caller outside of the package."""
+    """Emit a warning that names the line of the caller outside of the package."""
     frame, level = sys._getframe(1), 2
     while frame is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "deep_contact":
         frame, level = frame.f_back, level + 1
@@ -43,16 +43,19 @@ def expect(condition, message: str) -> None:
 
 
 def refuse_where(bad: np.ndarray, name: str, values: np.ndarray, expected: str) -> None:
-    """Raise ValueError naming the first index at which `bad` holds, and the value, or row of values, at this index."""
+    """Raise ValueError if any flag of `bad` is True. The message names the first such index and the value there.
+
+    values: array, whose first dimensions are those of `bad`. expected: the rule in words, for the message.
+    """
     if bad.any():
         place = np.argwhere(bad)[0].tolist()
         raise ValueError(f"{name}{place or ''}: expected {expected}, got {values[tuple(place)]}")
 
 
 def integer(name: str, value, least: int = 0, most: int | None = None, *, hint: str = "") -> int:
-    """`value` as an int from `least` to `most`, both included. A bool, and a float such as 2.0, is not an integer.
+    """Return `value` as an int from `least` to `most`, both included.
 
-    hint: advice at the end of the message.
+    A bool or a float, such as 2.0, is not an integer. hint: advice at the end of the message.
     """
     is_one = type(value) is int or (isinstance(value, Integral) and not isinstance(value, bool))
     if not is_one or value < least:
@@ -63,7 +66,10 @@ def integer(name: str, value, least: int = 0, most: int | None = None, *, hint: 
 
 
 def number(name: str, value, low=None, high=None, *, above=None, below=None) -> float:
-    """`value` as a finite float with low <= value <= high and above < value < below, each unless None."""
+    """Return `value` as a finite float with low <= value <= high and above < value < below.
+
+    A limit of None is not tested.
+    """
     try:
         checked = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
     except OverflowError:
@@ -78,7 +84,10 @@ def number(name: str, value, low=None, high=None, *, above=None, below=None) -> 
 
 
 def several(name: str, values, count: int, *, check=number, expected: str = "finite numbers") -> tuple:
-    """`count` values as a tuple, each as `check` returns it. expected: a description of them for the message."""
+    """Return `count` values as a tuple. Each is the result of `check(name, value)`.
+
+    expected: description of the values for the message.
+    """
     try:
         checked = tuple(check(name, value) for value in values)
     except (TypeError, ValueError):
@@ -88,7 +97,10 @@ def several(name: str, values, count: int, *, check=number, expected: str = "fin
 
 
 def list_of(name: str, kind: type, values) -> list:
-    """Several values of a type as a list. Raises ValueError on a single value, and on a value of another type."""
+    """Return several values of the type `kind` as a list.
+
+    Raises ValueError on a single value, and on a value of another type.
+    """
     expected = f"{name}: expected several {kind.__name__} objects, such as a list,"
     expect(isinstance(values, Iterable) and not isinstance(values, (str, bytes)), f"{expected} got {brief(values)}")
     listed = list(values)
@@ -98,9 +110,9 @@ def list_of(name: str, kind: type, values) -> list:
 
 
 def real_numbers(value) -> np.ndarray | None:
-    """`value` as a new float64 array; None unless it consists of real numbers only.
+    """Return `value` as a new float64 array, or None if it contains anything other than real numbers.
 
-    NumPy converts text, dates and the hidden values of masked arrays without a word, and cuts complex numbers.
+    NumPy alone would convert text, dates and masked values silently, and would cut complex numbers.
     """
     if any(map(np.ma.is_masked, value if isinstance(value, (list, tuple)) else [value])):
         return None
@@ -115,7 +127,7 @@ def real_numbers(value) -> np.ndarray | None:
 
 
 def floats(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
-    """`value` as a new float64 array of finite numbers of this shape."""
+    """Return `value` as a new float64 array of finite numbers of this shape."""
     array = real_numbers(value)
     if array is None or array.shape != shape:
         got = brief(value) if array is None else f"shape {array.shape}"
@@ -130,15 +142,16 @@ SYNONYMS = {
     "r": "radius", "rtol": "tolerance", "start": "warm_start", "time_step": "dt",
     "timestep": "dt", "tol": "tolerance", "v": "velocity", "walls": "segments", "workers": "jobs",
 }  # fmt: skip
-"""Wrong keyword that people try -> the right keyword."""
+"""Keyword that users try by mistake -> the keyword of this package."""
 
 F = TypeVar("F", bound=Callable)
 
 
 def suggesting(function: F) -> F:
-    """Decorator of a function or class: the TypeError of a wrong call suggests what was meant.
+    """Decorate a function or class so that the TypeError of a wrong call has a suggestion.
 
-    For an unknown keyword it names the nearest keyword; for too many values, the first options, which have to be named.
+    For an unknown keyword the suggestion is the most similar keyword. For too many positional values the suggestion
+    names the first options, which are keyword-only.
     """
     if isinstance(function, type):
         function.__init__ = suggesting(function.__init__)  # type: ignore[misc]
@@ -156,7 +169,10 @@ def suggesting(function: F) -> F:
 
 
 def _with_hint(message: str, function: Callable, keywords: dict, is_ours: bool) -> str:
-    """The message of a TypeError, with a suggestion. is_ours: whether the error is of the call itself."""
+    """Return the message of a TypeError with a suggestion, if there is one.
+
+    keywords: the keywords of the call. is_ours: whether the call itself raised the error, not the body of the function.
+    """
     known, wrong = inspect.signature(function).parameters, re.search(r"unexpected keyword argument '(\w+)'", message)
     if is_ours and "positional argument" in message:
         named = [f"{name}=…" for name, one in known.items() if one.kind is one.KEYWORD_ONLY][:3]
@@ -168,18 +184,22 @@ def _with_hint(message: str, function: Callable, keywords: dict, is_ours: bool) 
 
 
 def flag(name: str, value) -> bool:
-    """`value` as a bool; NumPy's bools are accepted, integers are not."""
+    """Return `value` as a bool. A bool of NumPy is accepted, an integer is refused."""
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     raise ValueError(f"{name}: expected True or False, got {brief(value)}")
 
 
 def one_of(name: str, value, known: Collection):
-    """`value`, which has to be among `known`: a table by its names, or a sequence. Errors suggest the nearest name."""
+    """Return `value` if it is one of `known`.
+
+    known: sequence of the choices, or table whose keys are the choices. Raises ValueError on another value. The message
+    suggests the most similar choice.
+    """
     try:
         if value in known:
             return value
-    except (TypeError, ValueError):  # values without a hash, and arrays, which compare element by element
+    except (TypeError, ValueError):  # values that cannot be hashed, and arrays, which compare element by element
         pass
     names = {str(one).lower(): one for one in known}
     near = difflib.get_close_matches(value.lower(), names, 1) if isinstance(value, str) else ()

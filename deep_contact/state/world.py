@@ -1,4 +1,7 @@
-"""`World`: the box, the segments, and the constants that hold for every contact."""
+"""`World`: the box, the segments, and the constants of all contacts.
+
+Tests: tests/state/test_checks.py, tests/behaviour/test_refusals.py
+"""
 
 from __future__ import annotations
 
@@ -17,26 +20,26 @@ from deep_contact.state.validation import suggesting
 @suggesting
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """The box, segments, and the constants that hold for every contact.
+    """The box, the segments, gravity, and the constants of all contacts.
 
-    box: (x_min, y_min, x_max, y_max), m. gravity: (g_x, g_y), m/s². friction: Coulomb's μ. restitution: Newton's e; it
-    acts on approaches faster than (1 − e²) times the scales' threshold (`stepping.impacts`). scales: fixed
-    `ContactScales`. Without them, by default, the scales follow the scene (`State.scales`): a circle that is added or
-    removed changes them if it changes the mean radius.
+    box: (x_min, y_min, x_max, y_max), m. gravity: (g_x, g_y), m/s². friction: Coulomb's μ. restitution: Newton's e;
+    contacts that approach slower than (1 − e²) times `ContactScales.restitution_threshold` do not bounce
+    (`stepping.impacts`). scales: fixed `ContactScales`; None, the default, lets the scales follow the scene
+    (`State.scales`), so that they change if added or removed circles change the mean radius.
 
-    segments: pairs of points ((x, y), (x, y)), m: lines beside the box, with contacts on both sides and at their ends,
-    and with the skin of the walls (edge shapes of Box2D). An end that lies on another segment or on a wall, to within
-    1e-4 of the circle's radius, makes no contact of its own: a circle rolls over the joint as over a chain of Box2D. It
-    also rolls over a gap of up to a fiftieth of its radius. The world keeps each segment as (x_0, y_0, x_1, y_1), which
-    is accepted too; np.reshape(segments, (-1, 2, 2)) gives the points back.
+    segments: pairs of points ((x, y), (x, y)), m, each a line in addition to the box. Circles touch both sides and both
+    ends of a segment, which has the skin of the walls (edge shapes of Box2D). An end makes no contact of its own if it
+    lies on another segment or on a wall, to within 1e-4 of the circle's radius: a circle rolls over the joint as over a
+    chain of Box2D. It also rolls over a gap of up to 1/50 of its radius. The world stores each segment as (x_0, y_0,
+    x_1, y_1), and accepts this form too; np.reshape(segments, (-1, 2, 2)) returns the points.
 
-    surface_speeds: speed of the surface of each segment towards its second end, (S,), m/s: a belt, or the wall of a
-    rotating drum. The segment itself stays in place; friction drags the circles that touch it. () means that all
-    surfaces rest.
+    surface_speeds: speed of the surface of each segment towards its second end, (S,), m/s, as of a belt or of the wall
+    of a rotating drum. The segment itself does not move, but its friction drags the circles that touch it. () means
+    that no surface moves.
 
-    segment_velocities: velocities of the ends of the segments, (S, 2, 2), m/s. In every step a segment moves with them,
-    and pushes and drags the circles that touch it; the world of the next state has its new position. The world keeps
-    them in the form of the segments; () means that all segments rest.
+    segment_velocities: velocities of both ends of each segment, (S, 2, 2), m/s. In every step the ends move with these
+    velocities, and the segment pushes and drags the circles that touch it. The world of the next state has the new
+    positions. The world stores the velocities in the form of the segments. () means that no segment moves.
     """
 
     box: tuple[float, float, float, float] = (0.0, 0.0, 30.0, 30.0)
@@ -49,9 +52,9 @@ class World:
     segment_velocities: Sequence | np.ndarray = ()
 
     def __post_init__(self):
-        vars(self).update(checked_world(self))  # around __setattr__: the dataclass is frozen
+        vars(self).update(checked_world(self))  # without __setattr__, since the dataclass is frozen
 
     @cached_property
     def is_within_limits(self) -> bool:
-        """Whether all fields, the scales included, are within `LIMITS`, so that the engine computes with them."""
+        """Whether all fields, also those of `scales`, are within `LIMITS`, as the engine requires."""
         return not any(beyond_limits(world=self, scales=self.scales))
