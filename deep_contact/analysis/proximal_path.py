@@ -103,7 +103,10 @@ class Equations:
         return np.array([i - 1, i]), self.scale[i] * np.array([side * self.friction[contact], 1.0]), 0.0
 
     def change(self, contact: int, previous: int) -> None:
-        """Update the solution after a contact has changed its state. previous: the contact's state before the change."""
+        """Update the solution after a contact has changed its state.
+
+        previous: the contact's state before the change.
+        """
         if len(self.replaced) >= REFRESH:
             return self.factorise()
         new = self.states[contact]

@@ -68,7 +68,10 @@ def member(group, name: str):
 
 
 def dataset(group, name: str) -> h5py.Dataset:
-    """Return an array of the group, before its numbers are read. Raises ValueError unless the numbers are in this file."""
+    """Return an array of the group, before its numbers are read.
+
+    Raises ValueError unless the numbers are in this file.
+    """
     array, where = member(group, name), f"{group.name}/{name}".strip("/")
     is_here = isinstance(array, h5py.Dataset) and not (array.is_virtual or array.external)
     expect(is_here, f"{where}: expected an array in this file, got {array}")
@@ -109,7 +112,10 @@ def read(arrays: Mapping[str, h5py.Dataset], most: int) -> dict[str, np.ndarray]
 
 
 def attribute(item, name: str):
-    """Return an attribute of a group or file. Raises ValueError if it is missing, or if it claims to exceed the file."""
+    """Return an attribute of a group or file.
+
+    Raises ValueError if it is missing, or if it claims to exceed the file.
+    """
     expect(name in item.attrs, f"{name}: expected this attribute, got none")
     stored = item.attrs.get_id(name)
     count = math.prod(stored.shape or ())

@@ -372,7 +372,10 @@ def _header(attributes: dict) -> dict:
 
 
 def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
-    """Return the arrays of a file before they are read. Raises ValueError unless their types and shapes fit each other."""
+    """Return the arrays of a file before they are read.
+
+    Raises ValueError unless their types and shapes fit each other.
+    """
     known = _ARRAYS | {name: kind for name, kind in _RARE.items() if name in file}
     strange = sorted(set(file) ^ set(known))
     expect(not strange, f"arrays: expected {', '.join(sorted(_ARRAYS))}, missing or unknown: {strange}")
@@ -389,7 +392,10 @@ def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
 
 
 def _check_arrays(arrays: dict, segments: int) -> None:
-    """Raise ValueError unless all states satisfy the rules of `check_state`. segments: number of the world's segments."""
+    """Raise ValueError unless all states satisfy the rules of `check_state`.
+
+    segments: number of the world's segments.
+    """
 
     def refuse(name, bad, expected):
         refuse_where(bad, name, arrays[name], expected)

@@ -73,7 +73,10 @@ def write_state(path, state: State) -> None:
 
 
 def format_state(state: State) -> bytes:
-    """Return a state in canonical form as UTF-8 bytes. Raises ValueError, which names the field that cannot be stored."""
+    """Return a state in canonical form as UTF-8 bytes.
+
+    Raises ValueError, which names the field that cannot be stored.
+    """
     state = check_state(state)
     world, n = state.world, state.bodies.count
     numbers = {"time": float(state.time), "step": integer("step", state.step, most=10**18 - 1), "dt": float(state.dt)}

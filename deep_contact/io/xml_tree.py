@@ -102,7 +102,10 @@ def expect(condition, element, message: str, value=None) -> None:
 
 
 def _fault_at(data: bytes, start: int, message: str, end: int | None = None) -> StateFileError:
-    """Return the error about the bytes from `start` on. Its message names the line, and quotes the bytes up to `end`."""
+    """Return the error about the bytes from `start` on.
+
+    Its message names the line, and quotes the bytes up to `end`.
+    """
     line = data.count(b"\n", 0, start) + 1
     return StateFileError(f"line {line}: {message}, got {quote(data[start:end])}")
 
@@ -135,7 +138,10 @@ def refuse_attributes_of(parts: dict, tags: dict[str, str]) -> None:
 
 
 def children(element, tags) -> dict:
-    """Return tag -> child of an element. Raises StateFileError for a tag that is not in `tags`, or that occurs twice."""
+    """Return tag -> child of an element.
+
+    Raises StateFileError for a tag that is not in `tags`, or that occurs twice.
+    """
     parts = {}
     for child in element:
         if child.tag not in tags:
