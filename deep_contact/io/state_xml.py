@@ -310,7 +310,10 @@ def _read_pairs(elements, rank: dict) -> np.ndarray:
 
 
 def _nearest_wall(normal: np.ndarray) -> np.ndarray:
-    """Return the wall, BOTTOM … LEFT, whose normal is closest in direction to each normal from circle to wall, (m, 2)."""
+    """Return the wall, BOTTOM … LEFT, whose normal is closest in direction to each of these normals.
+
+    normal: from circle to wall, (m, 2).
+    """
     return np.argmax(normal @ WALL_NORMALS.T, axis=1)
 
 

@@ -92,7 +92,10 @@ _LETTERS = {"fontsize": 12 * 72 / plotting.DPI, "va": "center", "family": "DejaV
 
 
 def _corners(width: int, lines: int) -> list[tuple[float, float]]:
-    """Return the places (x, y) at which time, scale and key begin, pixels: in one line, or in three lines from the top."""
+    """Return the places (x, y) at which time, scale and key begin, pixels.
+
+    They lie in one line, or in three lines from the top.
+    """
     if lines == 1:
         return [(share * width + MARGIN, LINE / 2) for share in (0.0, 0.31, 0.62)]
     return [(MARGIN, LINE * (line + 0.5)) for line in (2, 1, 0)]
@@ -173,7 +176,10 @@ def _write_gif(path: Path, pictures, delays: list[int]) -> None:
 
 
 def _ffmpeg() -> str | None:
-    """Return the path of the installed ffmpeg, or else of that in the package imageio-ffmpeg; None if there is neither."""
+    """Return the path of the installed ffmpeg, or else of that in the package imageio-ffmpeg.
+
+    Returns None if there is neither.
+    """
     found = shutil.which("ffmpeg")
     if found is None:
         with suppress(ImportError, RuntimeError):  # the package lacks a program for some machines
