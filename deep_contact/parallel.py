@@ -29,7 +29,7 @@ def cores() -> int:
 def workers(jobs: int | Executor) -> int:
     """Return how many tasks run at once. jobs: number of processes, or an executor.
 
-    The number of an executor is that of its workers (for Dask, of their threads), or 1 if it is unknown.
+    For an executor this is the number of its workers (for Dask, of all their threads), or 1 if it is unknown.
     """
     if isinstance(jobs, int):
         return jobs

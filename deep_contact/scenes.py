@@ -86,8 +86,8 @@ def lattice_in_box(
 ) -> State:
     """Make circles at rest on a jittered square lattice that begins at the floor.
 
-    It serves scenes with so many or so densely packed circles that random places (`circles_in_box`) are not found. The
-    box is as wide and as high as the lattice, and no circles overlap.
+    Use it for scenes with too many or too densely packed circles for the random places of `circles_in_box`. The box is
+    as wide and as high as the lattice, and no circles overlap.
 
     columns: number of circles in a row; by default the lattice is as wide as it is high. radius: smallest and largest
     radius, m. gap: gap between two neighbours of the largest radius, as a share of their diameter. Along each axis,

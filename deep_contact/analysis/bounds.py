@@ -117,7 +117,7 @@ def force_bounds(
 
 
 def _side_by_side(state: StateWithContacts, wanted: Sequence[int]) -> np.ndarray:
-    """Return an order of the contacts `wanted`, (k,), in which successive contacts lie side by side.
+    """Return an order, (k,), of the contacts with the indices `wanted`, in which successive contacts lie side by side.
 
     The order goes up a vertical strip of the scene and down the next one. The solutions for neighbours differ little,
     so that the simplex method gets from one to the next in few steps.

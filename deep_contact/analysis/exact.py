@@ -5,19 +5,20 @@ let λ drift along the null space until a contact opens or starts to slip. With 
 symmetric nor monotone, and may have a mode that grows from sweep to sweep.
 
 A proximal step (Rockafellar 1976) adds ε diag(A) (λ − c) to the velocities, where c are the impulses before the step.
-This term removes the null space. Impulses that a step does not change solve the contact problem.
+This term removes the null space. If a step leaves the impulses unchanged, they solve the contact problem.
 
 Each step is solved by the parametric form of Lemke's algorithm (Lemke 1965; Cottle, Pang and Stone 1992, sections
 4.4-4.5; with friction Anitescu and Potra 1997). Every contact has a state: it is open, sticks, or slips in one of two
-directions. The states at the start follow from c. If c is moved to the bounds of these states, it solves a problem
-whose velocities are shifted by some q. The algorithm reduces the shift t q from t = 1 to t = 0. As long as no contact
-changes its state, λ is linear in t. A change of a state is a pivot, and decides whether t falls or grows until the next
-pivot; without friction it always falls. ε is reduced as long as the steps need few pivots.
+directions. The states at the start follow from c. The impulses c are moved to the bounds of these states. They then
+solve a problem whose velocities are shifted by some q. The algorithm reduces this shift, t q, from t = 1 to t = 0.
+While all contacts stay in their states, λ is linear in t. A change of a state is called a pivot. It decides whether t
+falls or grows until the next pivot; without friction t always falls. As long as the steps need few pivots, ε is reduced
+from step to step.
 
 A pivot is a solve with SuperLU's factors (`proximal_path`), which costs too much for the steps of a run.
 
-Without friction the problem is monotone, and every path leads to a solution. With friction, ε may be too small compared
-with a negative mode of A. A path may then turn back and never reach t = 0. Such a step is abandoned, and done again
+Without friction the problem is monotone, and every path leads to a solution. With friction, ε may be too small to
+outweigh a mode that grows. A path may then turn back and never reach t = 0. Such a step is abandoned, and done again
 with a larger ε. The method is for scenes of up to some 1,000 circles. If there are many solutions, the start and the
 constants of this module choose one.
 """
@@ -48,8 +49,8 @@ FIRST_EPSILON = 1e-4
 """ε of the first proximal step. ε has no unit: it is a factor of diag(A)."""
 
 LEAST_EPSILON = 1e-6
-"""Smallest ε. If impulses of other contacts can replace that of the pivot's contact, the pivot divides by a number of
-order ε. This costs as many of the 16 digits as 1 / ε has."""
+"""Smallest ε. If impulses of other contacts can replace the impulse of the pivot's contact, the pivot divides by a
+number of order ε. This division loses log₁₀(1 / ε) of the 16 digits."""
 
 LARGEST_EPSILON = 0.1
 """Largest ε. A step that changes λ by δ leaves a residual of ε diag(A) δ."""

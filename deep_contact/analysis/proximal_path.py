@@ -33,8 +33,8 @@ MOST_TURNS = 30
 larger ε is cheaper than a long path."""
 
 REFRESH = 48
-"""Number of replaced equations after which the matrix is factorised anew. To use the columns of so many replacements
-costs as much as a factorisation."""
+"""Number of replaced equations after which the matrix is factorised anew. With more, the sum over the replacements
+costs more than a factorisation."""
 
 
 def follow(problem: ContactProblem, epsilon: float, states, x, u, q, limit: int) -> tuple[bool, int, int]:

@@ -114,7 +114,7 @@ def read(arrays: Mapping[str, h5py.Dataset], most: int) -> dict[str, np.ndarray]
 def attribute(item, name: str):
     """Return an attribute of a group or file.
 
-    Raises ValueError if it is missing, or if it claims to exceed the file.
+    Raises ValueError if it is missing, or if it is larger than the file.
     """
     expect(name in item.attrs, f"{name}: expected this attribute, got none")
     stored = item.attrs.get_id(name)

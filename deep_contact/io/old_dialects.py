@@ -18,7 +18,7 @@ from deep_contact.state import constants
 
 BODY = dict(mass="value", position="x y", velocity="x y", orientation="theta", inertia="value", spin="omega")
 CONTACT = dict(position="x y", normal="x y", impulse="n t", start="n t")
-"""Child of a body, and of a contact, in canonical form -> its attributes."""
+"""BODY and CONTACT: tag of a child of a body, or of a contact, in canonical form -> attributes of this child."""
 
 _TAGS = {"angle": "orientation", "angular_velocity": "spin"}
 _ATTRIBUTES = {"vx": "x", "vy": "y", "nx": "x", "ny": "y", "ni": "n", "ti": "t"}

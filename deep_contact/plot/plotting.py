@@ -118,7 +118,8 @@ def style() -> AbstractContextManager[None]:
 def style_of(start: str) -> dict:
     """Return keyword arguments for `ax.plot` for a start: color, linestyle, label.
 
-    Raises ValueError, which lists the known starts, for an unknown one.
+    start: name of a start, by which the solver gets its starting impulses. Raises ValueError, which lists the known
+    starts, for an unknown one.
     """
     return dict(START_STYLE[one_of("start", start, START_STYLE)])
 

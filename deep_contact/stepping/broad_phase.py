@@ -1,6 +1,6 @@
 """Broad phase: finds circles that are near one another, by a grid of cells and by a list of near pairs.
 
-The list is valid for several steps.
+The list is valid for several steps. It contains all pairs of circles whose gap is at most the *gap limit*.
 
 Tests: tests/stepping/test_contacts.py
 """
@@ -16,28 +16,27 @@ from deep_contact.compiled import njit
 from deep_contact.state.constants import NEARLY
 
 LEAST_NEAR = 0.1
-"""Least gap limit of the list of near pairs, in smallest radii. The list contains all pairs whose gap is at most the
-gap limit."""
+"""Smallest value of the gap limit, in units of the smallest radius."""
 
 MOST_NEAR = 1.0
-"""Largest gap limit of the list of near pairs, in smallest radii. In a packing, few second neighbours have a smaller
+"""Largest value of the gap limit, in units of the smallest radius. In a packing, few second neighbours have a smaller
 gap."""
 
 NEAR_BY_MOTION = 5.0
-"""Gap limit divided by the square root of the relative displacement of circles in a step, both in smallest radii. With
-a larger gap limit a list lasts for more steps, but takes longer to make and to read."""
+"""Factor c of the gap limit g = c √d, where d is the relative displacement of circles in a step. g and d are in units
+of the smallest radius. With a larger gap limit a list lasts for more steps, but takes longer to make and to read."""
 
 LASTING = 3
-"""Least number of steps for which a new list has to be valid, or else it is not made. To make a list takes longer than
-a search by cells; to read it takes a quarter of a search."""
+"""A list is made only if it will be valid for at least this number of steps. To make a list takes longer than a search
+by cells; to read it takes a quarter of a search."""
 
 TRY_AGAIN = 20
-"""Number of searches by cells after a list that was too long for its array, before another list is made. A list is too
-long only in heaps of overlapping circles."""
+"""If a list is too long for its array, no list is made in this number of searches. A list is too long only in heaps of
+overlapping circles."""
 
 CROWDED = 8
-"""Mean number of circles in the cell of a circle above which the circles are sorted into size levels. Without levels
-the cells are as wide as the largest circle, and one cell can contain many small circles."""
+"""Circles are sorted into size levels if the cell of a circle contains, on average, more circles than this. Without
+levels the cells are as wide as the largest circle, and one cell can contain many small circles."""
 
 LEVELS = 16
 """Largest number of size levels. The last level contains all smaller circles."""
@@ -73,8 +72,8 @@ class Cells(NamedTuple):
     """Buffers of the broad phase over n circles, and its list of near pairs (Verlet's neighbour list).
 
     The list contains all touching pairs as long as no circle has moved by more than half the gap limit since the list
-    was made. The common motion of all circles does not count. A list is made only if it will be valid for some steps
-    (`LASTING`).
+    was made. Displacements are measured relative to the common motion of all circles. A list is made only if it will be
+    valid for some steps (`LASTING`).
     """
 
     start: np.ndarray  # (8n + 1000,): cell c contains the circles `order[start[c]:start[c + 1]]`
@@ -137,7 +136,7 @@ def refresh_list(position, radius, cells, ahead):
 
 @njit(cache=True)
 def remember(position, gap, cells):
-    """Store the positions of the circles and the gap limit, m, and that there is no list for these positions."""
+    """Store the positions of the circles and the gap limit, m, in `cells`, and that there is no list of near pairs."""
     for i in range(position.shape[0]):
         cells.anchor[i, 0], cells.anchor[i, 1] = position[i, 0], position[i, 1]
     memory = cells.memory[0]
@@ -146,9 +145,9 @@ def remember(position, gap, cells):
 
 @njit(cache=True)
 def moves_within(position, anchor, x, y, distance):
-    """Return whether all circles have moved from their anchors by (x, y), m, up to a difference of `distance`, m.
+    """Return whether the displacement of every circle from its anchor differs from (x, y), m, by at most `distance`, m.
 
-    It is False if a position is not a number.
+    The result is False if a position is not a number.
     """
     within, square = distance >= 0.0, distance * distance
     for i in range(position.shape[0]):
@@ -159,7 +158,7 @@ def moves_within(position, anchor, x, y, distance):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def common_motion(position, anchor):
-    """Return (x, y, apart), m: the middle of the circles' displacements, and a bound on the difference of two of them.
+    """Return (x, y, apart), m: the middle of all displacements, and an upper bound of the difference between any two.
 
     position, anchor: centres after and before the displacements, (n, 2), m.
     """
@@ -334,7 +333,10 @@ def circles_around(a, position, reach, levels, cells, found, m):
 
 @njit(cache=True, error_model="numpy")
 def find_near(position, radius, gap, cells):
-    """Fill the list with the pairs whose gap is at most `gap`, m. If the pairs do not fit, there is no list."""
+    """Fill the list of near pairs with the pairs whose gap is at most `gap`, m.
+
+    If they do not fit into the array, there is no list.
+    """
     n, m = position.shape[0], np.int64(0)
     levels = sort_into_cells(position, radius, gap, cells)
     remember(position, gap, cells)

@@ -110,9 +110,9 @@ def write_near_pairs(position, radius, walls, cells, body_a, body_b):
 
 @njit(cache=True)
 def write_walls(x, y, reach, box, n, body_b, m):
-    """Write the walls that are at most `reach`, m, from the centre (x, y) into `body_b`, from place m on.
+    """Write the walls that a circle touches into `body_b`, from place m on. Returns the place after the last wall.
 
-    A wall is written as n + wall. Returns the place after the last wall.
+    x, y: centre of the circle, m. reach: its radius plus the skin, m. A wall is written as n + wall.
     """
     reach *= NEARLY
     for wall, gap in enumerate((y - box[1], box[2] - x, box[3] - y, x - box[0])):
@@ -172,7 +172,7 @@ def write_geometry(position, radius, walls, segments, contacts, least):
     """Write the normal, separation and contact point of each contact, in place (narrow phase).
 
     The contact point is the middle of the overlap. least: contacts with body_b < least are left out. With 0 all
-    contacts are written, with n those with walls and segments.
+    contacts are written; with n, only contacts with walls and segments.
     """
     n = position.shape[0]
     for i in range(contacts.body_a.shape[0]):
@@ -207,9 +207,9 @@ def write_geometry(position, radius, walls, segments, contacts, least):
 def parting(a, b):
     """Return a unit normal from circle a to circle b for coinciding centres.
 
-    The normal is that of circles i at radius √i on a golden spiral. A heap of circles in one place therefore spreads to
-    a disc, and no two circles move in one direction (H. Vogel 1979, A better way to construct the sunflower head,
-    Mathematical Biosciences 44). Circles 0 and 1 separate along +x, as in Box2D.
+    It is the direction from point a to point b of a golden spiral, whose point i has the radius √i. A heap of circles
+    in one place therefore spreads to a disc, and no two circles move in one direction (H. Vogel 1979, A better way to
+    construct the sunflower head, Mathematical Biosciences 44). Circles 0 and 1 separate along +x, as in Box2D.
     """
     x_a, y_a = math.sqrt(a) * math.cos((a - 1) * GOLDEN_ANGLE), math.sqrt(a) * math.sin((a - 1) * GOLDEN_ANGLE)
     x_b, y_b = math.sqrt(b) * math.cos((b - 1) * GOLDEN_ANGLE), math.sqrt(b) * math.sin((b - 1) * GOLDEN_ANGLE)
@@ -236,9 +236,9 @@ def wall_gap(x, y, box, wall):
 def carry_impulses(old, contacts, warm):
     """Copy the impulses of each pair from the step before to the next step, in place: the built-in warm start.
 
-    old: the contacts of the step before with their solved impulses. contacts: those of the next step; their impulses
-    and starting impulses are written. New pairs get 0. Without `warm` all starting impulses are 0. Both lists are
-    sorted, so that one pass over them finds all common pairs.
+    old: contacts of the step before, with their solved impulses. contacts: contacts of the next step, whose impulses
+    and starting impulses are written. A new pair gets 0. If `warm` is false, all starting impulses are 0. Both lists
+    are sorted, so that one pass over them finds all common pairs.
     """
     j, last = 0, old.body_a.shape[0]
     for i in range(contacts.body_a.shape[0]):

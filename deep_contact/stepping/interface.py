@@ -88,7 +88,9 @@ class SolverOptions(SweepOptions):
         return 1 if self.most_substeps is None else self.most_substeps // self.substeps
 
     def for_state(self, state: State) -> SolverOptions:
-        """Return the options with the tolerance of a substep, N·s, in place of "scene"."""
+        """Return the options with a number, N·s, in place of the tolerance "scene": the tolerance of a substep in this
+        state.
+        """
         if self.tolerance != FOLLOWS_SCENE:
             return self
         bodies = state.bodies
@@ -135,8 +137,9 @@ METHODS: dict[str, type] = {}
 COMPILED_IN = """
 import deep_contact.solvers
 """
-"""The module that registers the loops that `relax` calls, as an import in a text, since this module must not import it.
-The code cache takes the line for an import, so that a step is compiled again once a loop has changed."""
+"""A text with an import of the module that registers the loops of `relax`. This module must not import it, since it
+lies above this folder. The code cache reads the line as an import, so that a step is compiled again once a loop has
+changed."""
 
 _ENTRIES: dict[type, Entry] = {}
 _LOOPS: dict[type, Loop] = {}

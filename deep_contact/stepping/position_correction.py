@@ -45,8 +45,8 @@ IDLE = 4
 lanes of a tile of eight contacts."""
 
 _IDLE_RADIUS = 1e-200
-"""Radius of the idle body, m. It is not 0, so that the idle body coincides with itself, but it never penetrates itself
-by a slop."""
+"""Radius of the idle body, m. With 0, a pair of idle bodies would not count as coinciding. With a larger radius, it
+could penetrate by more than the slop."""
 
 _HEAVY = 1e200
 """Mass of a fixed circle in tiles, kg. Its displacement is far below rounding, and is not written back."""
@@ -56,16 +56,16 @@ TURNED = 0.5
 along this normal."""
 
 _FEW = 3
-"""Number of sweeps up to which levels do not pay: to sort contacts into levels costs about as much as three sweeps
+"""Levels are used only for more sweeps than this: to sort contacts into levels costs about as much as three sweeps
 contact by contact."""
 
 _FILLED = 8
-"""Least mean number of contacts in a level with which tiles cost less than correction contact by contact. In a column
-each level has one contact."""
+"""Tiles are used only if the levels have, on average, at least this number of contacts. With fewer, correction contact
+by contact costs less. In a column each level has one contact."""
 
 _PATIENCE = 50
-"""Number of corrections contact by contact after levels had too few contacts. Then levels are tried again: a pile does
-not widen in a few steps."""
+"""If the levels have too few contacts, they are not tried in this number of corrections: a pile does not widen in a few
+steps."""
 
 CORRECTION_MEMORY = np.dtype([("sweeps", np.int64), ("wait", np.int64)])
 """Memory of earlier corrections. sweeps: number of sweeps of the last correction. wait: number of corrections until

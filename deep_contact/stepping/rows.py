@@ -65,7 +65,7 @@ def make_rows(capacity, friction):
 
 
 more_rows = njit(cache=True)(make_rows)
-"""`make_rows` for compiled callers."""
+"""`make_rows`, compiled, for compiled callers."""
 
 
 @njit(inline="always")

@@ -150,9 +150,10 @@ def hides(segment, e_x, e_y, x, y, reach):
 
 @njit(cache=True)
 def insert_pairs(position, radius, walls, segments, body_a, body_b, m):
-    """Insert the touching pairs of circles and segments into m sorted pairs, in place.
+    """Insert the touching pairs of circles and segments into `body_a` and `body_b`, in place.
 
-    Returns the new number of pairs, or -1 if they do not fit.
+    Their first m pairs are sorted by (body_a, body_b), and stay so with the new ones. Returns the new number of pairs,
+    or -1 if they do not fit.
     """
     n, end = position.shape[0], m
     circles = np.empty(n, np.int64)
