@@ -259,7 +259,7 @@ def _trade(args) -> int:
         scene = lambda seed: make(seed=seed)  # noqa: E731
     names = ("steps", "seeds", "minutes", "engines", "jobs")
     if threading.current_thread() is threading.main_thread():  # only the main thread may set a handler of signals
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # acts as Ctrl-C, after which results are kept
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C, after which results are kept
     trade = dc.measure_trade(scene, **{name: getattr(args, name) for name in names})
     print(trade)
     if args.out is not None:

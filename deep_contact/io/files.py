@@ -110,7 +110,7 @@ def read_bytes(path: str | os.PathLike, most: int, error: type[ValueError] = Val
     data = path.read_bytes()
     if path.suffix != ".gz" and data[:2] != b"\x1f\x8b":
         return data
-    # The module `gzip` has no limit of size, and takes microseconds for each empty member.
+    # Not by the module `gzip`: it has no limit of size, and takes microseconds for each empty member.
     member = zlib.decompressobj(wbits=31)
     try:
         unpacked = member.decompress(data, most + 1)

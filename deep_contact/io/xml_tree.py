@@ -122,7 +122,7 @@ def quote(value) -> str:
 
 def refuse_attributes(element, known) -> None:
     """Raise StateFileError for the first attribute of an element that is not in `known`."""
-    for name in element.keys():  # not items(), which looks for every value from the first attribute on
+    for name in element.keys():  # not items(), which searches all attributes for every value
         if name not in known:
             message = f"{name[:_MAX_QUOTED]}: no such attribute, expected {', '.join(sorted(known))}"
             raise fault(element, message, element.get(name))

@@ -48,7 +48,7 @@ GRID = np.dtype(
     [
         ("x", float),  # corner of the grid, m
         ("y", float),
-        ("per_metre", float),  # cells per metre
+        ("per_metre", float),  # number of cells per metre
         ("widest", float),  # largest radius, m
         ("columns", np.int64),
         ("rows", np.int64),
@@ -84,7 +84,7 @@ class Cells(NamedTuple):
     first: np.ndarray  # (n + 1,): `near[first[a]:first[a + 1]]` are the circles b > a near circle a
     near: np.ndarray  # (8n + 40,): near circles, for each circle a sorted by index
     memory: np.ndarray  # (1,): `LIST_MEMORY`
-    level: np.ndarray  # (n,): size level of each circle; level 0 holds the largest
+    level: np.ndarray  # (n,): size level of each circle; level 0 has the largest circles
     grid: np.ndarray  # (16,): `GRID` of each level
 
 

@@ -75,7 +75,7 @@ levels are tried again."""
 class CorrectionWorkspace(NamedTuple):
     """Buffers of `correct_positions` for n circles, M contacts and T tiles of eight contacts."""
 
-    level: np.ndarray  # (n,): for each circle, the first level after all levels of its contacts so far
+    level: np.ndarray  # (n,): for each circle, the level after those of its contacts so far
     batch: np.ndarray  # (M,): level of each contact
     fill: np.ndarray  # (M,): number of contacts in each level; later its next free place
     body: np.ndarray  # (T, 2, 8): bodies a and b of the contacts, as rows of `centre`
