@@ -1,7 +1,10 @@
-"""Deep Contact: rigid circles, contact solvers, and how much these gain from a learned start.
+"""Deep Contact: rigid circles in contact, contact solvers, and their starting impulses from a neural network.
 
-A name is imported when it is first used (`lazy`), so a job that predicts nothing never loads TensorFlow. Names are
-imported "as" themselves: strict type checkers take a name that is only imported for a private one.
+A public name is imported when it is first used (`lazy`). A program that predicts no impulses therefore never loads
+TensorFlow. The imports below have the form `import x as x`, because strict type checkers treat a plainly imported name
+as private.
+
+Tests: tests/test_imports.py
 """
 
 from __future__ import annotations
@@ -71,9 +74,9 @@ if TYPE_CHECKING:
     from deep_contact.stepping.prepare import find_contacts as find_contacts
     from deep_contact.studies import starts as experiments
 
-    __all__ = ["experiments"]  # a name that differs from its module's is public by this list alone
+    __all__ = ["experiments"]  # type checkers do not take `starts as experiments` for public
 
-# What states ask of parts that stand above them.
+# Functions that `State` calls. They are in modules that `deep_contact.state` must not import.
 HOOKS.update(
     find_contacts="deep_contact.stepping.prepare:find_contacts", picture="deep_contact.plot.notebook:picture_of"
 )

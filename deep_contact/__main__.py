@@ -1,4 +1,7 @@
-"""The command line, `deep-contact` or `python -m deep_contact`: simulate, predict, train, figures and tables."""
+"""The command line, `deep-contact` or `python -m deep_contact`: simulate, predict, train, figures and tables.
+
+Tests: tests/test_command_line.py
+"""
 
 from __future__ import annotations
 
@@ -17,7 +20,7 @@ from deep_contact.io import scripts, shipped
 from deep_contact.io.files import FileError, check_writable
 from deep_contact.state.constants import VERSION
 
-# Modules that take time to import are imported by the command that needs them: --help and --version are immediate.
+# Each command imports the slow modules that it needs. So --help and --version print at once.
 
 COMMANDS = {
     "simulate": "run a scene, or go on from a state",
@@ -32,7 +35,7 @@ COMMANDS = {
 }
 
 SCENES = ("circles_in_box", "lattice_in_box", "drifting_circles", "hopper", "terrain", "drum")
-"""Scenes of `trade --scene`, which are made from a number of circles and a seed."""
+"""Scenes that `trade --scene` accepts. Each is made by a function of a number of circles and a seed."""
 
 DIVERGED = 1
 BAD_ARGUMENTS = 2
@@ -46,7 +49,7 @@ is not installed (Keras and TensorFlow in a small environment), 130 Ctrl-C; else
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line. Returns its exit status, see `STATUS`."""
+    """Run a command. arguments: its words; by default those of the process. Returns the exit status (`STATUS`)."""
     arguments = [_without_exponent(word) for word in (sys.argv[1:] if arguments is None else arguments)]
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
@@ -60,8 +63,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             args = parser.parse_args(arguments)
             return args.run(args)
-    except BrokenPipeError:  # as with `deep-contact figure | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more
+    except BrokenPipeError:  # the program that reads the output has ended, as in `deep-contact figure | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it again at exit
         return 0
     except (FloatingPointError, OSError, FileError, MemoryError, ModuleNotFoundError) as error:
         print(f"{parser.prog} {name}: {error}", file=sys.stderr)
@@ -70,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         commands[name].error(str(error))
     except KeyboardInterrupt:
         return INTERRUPTED
-    # Outside of the try block: the error of a script is no error of an argument.
+    # Outside of the try block, because a ValueError of a script is not a wrong argument of the command.
     words = " ".join([parser.prog, *arguments[: len(arguments) - len(following)]])
     try:
         return _run(script, [words, *following])
@@ -80,13 +83,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _without_exponent(word: str) -> str:
-    """-1e1 as -10: argparse takes a negative number with an exponent for an option."""
+    """Return a negative number with an exponent without the exponent (-1e1 as -10), and any other word unchanged.
+
+    argparse would take -1e1 for an option.
+    """
     is_number = re.fullmatch(r"-(\d+\.?\d*|\.\d+)[eE][-+]?\d{1,3}", word)
     return format(Decimal(word), "f") if is_number else word
 
 
 def status_of(error: Exception) -> int:
-    """The exit status that an error stands for, see `STATUS`."""
+    """Return the exit status for an error (`STATUS`)."""
     kinds = {ArithmeticError: DIVERGED, ModuleNotFoundError: NO_PACKAGE, OSError: BAD_FILE, FileError: BAD_FILE}
     return next((status for kind, status in kinds.items() if isinstance(error, kind)), BAD_ARGUMENTS)
 
@@ -141,7 +147,11 @@ def _add_run(parser: argparse.ArgumentParser) -> None:
 
 
 def _number_or_word(text: str) -> float | str:
-    """The text as a number, or as it is: argparse gives a state file that comes last to the option before it."""
+    """Return the number in a text, or the text itself if it is no number.
+
+    argparse assigns a state file that follows an option to this option, as in `--gravity 0 -9.81 state.xml`. `_scene`
+    then moves the file name to the argument STATE.
+    """
     try:
         return float(text)
     except ValueError:
@@ -161,7 +171,7 @@ def _add_trade(parser: argparse.ArgumentParser) -> None:
     add("--out", metavar="FILE", help="a picture (.png), or all of it (.json)")
 
 
-# ---- commands of their own ----
+# ---- commands that this module runs ----
 
 
 def _simulate(args) -> int:
@@ -171,7 +181,7 @@ def _simulate(args) -> int:
     from deep_contact.state.validation import expect
 
     out = Path(args.out or "")
-    if args.out is not None:  # before the run, not after it
+    if args.out is not None:  # checked before the run, which may take long
         endings = (".xml", ".xml.gz", ".png", ".h5", ".html", ".gif", ".mp4")
         fits = out.name.endswith(endings)
         expect(fits, f"--out: expected a file that ends in {', '.join(endings)}, got {args.out!r}")
@@ -186,14 +196,14 @@ def _simulate(args) -> int:
     run_of = f"{counted(state.bodies.count, 'circle')}, {counted(args.steps, 'step')} of {state.dt:g} s"
     print(f"{state.name}: {run_of}, {describe(state.solver)}")
     if args.steps:
-        is_fixed = state.solver.tolerance is None  # then doing all sweeps is no failure
+        is_fixed = state.solver.tolerance is None  # without a tolerance, a solve always does all sweeps
         why = "a fixed number of sweeps" if is_fixed else run.status[-1].replace("_", " ")
         ended = f"last θ: {run.theta[-1]:.3g} N·s ({why})"
         print(f"contacts: {state.contacts.count}; sweeps a step: {run.sweeps.mean():.1f}; {ended}")
     if args.out is not None:
         if out.suffix == ".png":
             figure, ax = dc.plotting.subplots()
-            if of_forces:  # the mean of the last step
+            if of_forces:  # the forces are means over the last step
                 dc.plotting.draw_contact_forces(ax, run.solved[-1] if run.solved else state)
             else:
                 dc.plotting.draw_state(ax, state)
@@ -204,14 +214,17 @@ def _simulate(args) -> int:
             run.trajectory.save(out)
         elif out.suffix == ".html":
             run.trajectory.film(out)
-        else:  # at the pace of the scene, if the eye can follow
+        else:  # in real time, with at most 120 pictures a second
             run.trajectory.film(out, fps=min(120.0, 1.0 / (args.every * state.dt)))
         print(out)
     return 0
 
 
 def _method(args, scene) -> dict:
-    """Solver and start, or the accuracy in place of both, as arguments of `simulate`."""
+    """Return arguments of `simulate`: the solver and the start, or the accuracy in place of both.
+
+    scene: the state whose solver the options change.
+    """
     from dataclasses import replace
 
     import deep_contact as dc
@@ -245,8 +258,8 @@ def _trade(args) -> int:
         make = make if args.bodies is None else partial(make, args.bodies)
         scene = lambda seed: make(seed=seed)  # noqa: E731
     names = ("steps", "seeds", "minutes", "engines", "jobs")
-    if threading.current_thread() is threading.main_thread():  # no other thread may handle signals
-        signal.signal(signal.SIGTERM, signal.default_int_handler)  # results so far are kept, as after Ctrl-C
+    if threading.current_thread() is threading.main_thread():  # only the main thread may set a handler of signals
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C, after which results are kept
     trade = dc.measure_trade(scene, **{name: getattr(args, name) for name in names})
     print(trade)
     if args.out is not None:
@@ -286,7 +299,8 @@ def _scene(args):
         way = "; `--gravity 0` switches gravity off" if name == "no_gravity" else ""
         expect(is_left_out, f"{flag}: expected none beside STATE.xml, which is a scene already, got {value}{way}")
     state = dc.load_trajectory(args.state)[-1] if args.state.endswith(".h5") else dc.read_state(args.state)
-    # Its impulses are those of its own world: in another world they are solved anew.
+    # The file's impulses were solved for the world in the file. `load` records that world, so that the run notices the
+    # new one and solves the impulses anew.
     return state.replace(load=load_of(state), world=replace(state.world, **world)) if world else state
 
 
@@ -296,14 +310,15 @@ KINDS = {
     "segments that move": ("drum", {"accuracy": "fast"}),
     "a pile, accurately": ("lattice_in_box", {"accuracy": "reference"}),
 }
-"""Kinds of scenes and solvers, each of which is compiled by itself, the longest first."""
+"""Name -> function of a scene, and options of `simulate`. Each pair needs machine code of its own, which `warm-up`
+compiles. The pair that takes longest comes first."""
 
 
 def _warm_up(args) -> int:
-    """Compile all kinds, in as many processes as there are cores."""
+    """Compile the code for all `KINDS`, in parallel processes, at most one per processor core."""
     import time
 
-    # Imported from its module: under `python -m` this module is called __main__, where other processes do not find it.
+    # Imported by its full name, so that other processes find it. Under `python -m` this module is called __main__.
     from deep_contact.__main__ import _compile
     from deep_contact.parallel import cores, finished
 
@@ -315,7 +330,7 @@ def _warm_up(args) -> int:
 
 
 def _compile(kind: str) -> float:
-    """Run a step of a kind. Returns its time, s."""
+    """Simulate one step of one of the `KINDS`, which compiles its code. Returns the wall time, s."""
     import time
 
     import deep_contact as dc
@@ -334,7 +349,7 @@ def _sample(args) -> int:
     return 0
 
 
-# ---- commands by a script ----
+# ---- commands that run a script ----
 
 
 def _list(args) -> int:
@@ -344,13 +359,16 @@ def _list(args) -> int:
 
 
 def _known(command: str) -> dict[str, Path]:
-    """Number -> script of all figures and tables, or of the tables alone."""
+    """Return number -> script: of all figures and tables for the command "figure", of the tables alone for "table"."""
     paths = scripts.find(shipped.ROOT / "scripts")
     return {number: path for number, path in paths.items() if command == "figure" or number.startswith("T")}
 
 
 def _script(command: str, number: str) -> Path:
-    """The script of a figure or table. Raises ValueError naming the known numbers."""
+    """Return the script that makes a figure or table, or the script that makes all of them for the number "all".
+
+    Raises ValueError, which lists the known numbers, for an unknown number.
+    """
     if number == "all":
         return shipped.ROOT / "scripts" / "all_figures.py"
     number = scripts.normalized(number)
@@ -361,9 +379,10 @@ def _script(command: str, number: str) -> Path:
 
 
 def _run(script: Path, argv: list[str]) -> int:
-    """Run a script as the main program, as which processes that it starts import it.
+    """Run a script as the module `__main__`. Returns its exit status.
 
-    `runpy.run_path` also does this, but puts the script's name in place of the command's into its help.
+    Processes that the script starts import it under this name. `runpy.run_path` does this too. But the help of the
+    script would then show the name of its file in place of the command.
     """
     module = types.ModuleType("__main__")
     module.__file__ = str(script)

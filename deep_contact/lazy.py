@@ -1,7 +1,10 @@
-"""What is imported when it is first used: the public names of a package, and what is known by its place alone.
+"""Lazy imports: the public names of a package, and objects that a text "module:name" names.
 
-A package with such names imports them under `if TYPE_CHECKING:`, for type checkers and editors. At run time these lines
-are only read. (The stubs of `lazy_loader` know neither aliases nor the modules of a package.)
+A package with lazy names imports them in a block `if TYPE_CHECKING:`, for type checkers and editors. At run time Python
+skips this block, and `homes` reads its text. (The package `lazy_loader` reads stub files, which support neither aliases
+nor the modules of a package.)
+
+Tests: tests/test_imports.py
 """
 
 from __future__ import annotations
@@ -13,19 +16,23 @@ from collections.abc import Callable
 from pathlib import Path
 
 HOOKS: dict[str, str] = {}
-"""What a part of the package asks of parts above it, which it never imports -> its place. `deep_contact` fills it."""
+"""Name of a function -> its place, "module:name". Lower modules call these functions of higher modules, which they must
+not import. `deep_contact/__init__.py` fills the table."""
 
 _IMPORT = re.compile(r"^    from ([\w.]+) import (\([^)]*\)|.*)", re.MULTILINE)
 
 
 def imported(place: str):
-    """What is at a place, "module:name"."""
+    """Import and return the object at a place, "module:name"."""
     module, _, name = place.partition(":")
     return getattr(importlib.import_module(module), name)
 
 
 def homes(source: str) -> dict[str, tuple[str, str]]:
-    """Public name of a package -> (module or package, name in it), by the indented imports of its source file."""
+    """Return public name -> (module that defines it, its name there) for a package. source: path of its `__init__.py`.
+
+    The names are read from the indented imports in this file.
+    """
     return {
         public or name: (module, name)
         for module, names in _IMPORT.findall(Path(source).read_text(encoding="utf-8"))
@@ -34,7 +41,10 @@ def homes(source: str) -> dict[str, tuple[str, str]]:
 
 
 def attach(package: str, source: str) -> tuple[Callable, Callable, list[str]]:
-    """`__getattr__`, `__dir__` and `__all__` of a package with this source file."""
+    """Return `__getattr__`, `__dir__` and `__all__` for a package with lazy names.
+
+    package: its name. source: path of its `__init__.py`.
+    """
     home = homes(source)
     names = [*home]
 
@@ -45,7 +55,8 @@ def attach(package: str, source: str) -> tuple[Callable, Callable, list[str]]:
         owner = importlib.import_module(module)
         if module == package or not hasattr(owner, name):
             return importlib.import_module(f"{module}.{name}")
-        # Kept as an attribute: a look-up takes 3 µs, a good part of what `step` takes beside its computation.
+        # Stored as an attribute, so that the next access does not call this function. Its 3 µs would be much of the
+        # overhead of `step`.
         setattr(sys.modules[package], public, getattr(owner, name))
         return getattr(owner, name)
 

@@ -1,6 +1,7 @@
-"""Parallel runs of independent tasks: in processes of this machine, or wherever an executor sends them.
+"""Parallel runs of independent tasks, by processes of this machine or by an executor such as Dask's.
 
-The local pool is our own, since the workers of joblib's outlive a killed parent and get Ctrl-C themselves.
+Local processes are those of `ProcessPoolExecutor`. Joblib's processes are not used: they outlive a killed parent, and
+Ctrl-C reaches them directly.
 """
 
 from __future__ import annotations
@@ -21,12 +22,15 @@ from deep_contact.state.validation import integer
 
 
 def cores() -> int:
-    """Number of cores that this process may use."""
+    """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def workers(jobs: int | Executor) -> int:
-    """Number of tasks that run at once: of processes, or of the threads of all workers of an executor; 1 if unknown."""
+    """Return how many tasks run at once. jobs: number of processes, or an executor.
+
+    For an executor this is the number of its workers (for Dask, of all their threads), or 1 if it is unknown.
+    """
     if isinstance(jobs, int):
         return jobs
     if hasattr(jobs, "_client"):  # Dask's
@@ -35,9 +39,10 @@ def workers(jobs: int | Executor) -> int:
 
 
 def progress_bar(items: Iterable | None = None, *, total: int | None = None, text: str = ""):
-    """A progress bar on standard error around `items`; without items, a bar that `.update(n)` moves.
+    """Return a progress bar on standard error, which iterates over `items`.
 
-    It appears after one second. A terminal is updated every 0.2 s, a log file every 10 s.
+    Without items, its method `update(n)` advances the bar by n. total: number of items. text: label. The bar appears
+    after one second. It is redrawn every 0.2 s in a terminal, and every 10 s in a log file.
     """
     from tqdm import tqdm
 
@@ -46,17 +51,21 @@ def progress_bar(items: Iterable | None = None, *, total: int | None = None, tex
 
 
 def seeds(seed: int, count: int) -> list[int]:
-    """`count` independent seeds from one seed, for items that run in parallel. Item i always gets the same seed."""
+    """Return `count` independent seeds, derived from one seed, for tasks that run in parallel.
+
+    Seed i depends on `seed` and i alone.
+    """
     return [int(child.generate_state(1, np.uint64)[0]) for child in np.random.SeedSequence(seed).spawn(count)]
 
 
 def parallel_map(
     function: Callable, items: Iterable, *, jobs: int | Executor = 1, progress: Callable | None = None, text: str = ""
 ) -> list:
-    """[function(item) for item in items], in that order, by `jobs`: see `finished`.
+    """Return the list [function(item) for item in items], computed in parallel. jobs: as in `finished`.
 
-    The result does not depend on `jobs` if `function` depends on its item alone: give every item its own seed
-    (`seeds`). The first error ends the map and is raised; an interrupt ends the processes too.
+    The result does not depend on `jobs` if `function` depends on its item alone. A random function therefore needs a
+    seed in every item (`seeds`). The first error ends the map and is raised. Ctrl-C ends the processes too. progress: a
+    function such as `progress_bar`, or None. text: label of the bar.
     """
     items = list(items)
     with closing(finished(function, items, jobs=jobs)) as done:
@@ -65,19 +74,19 @@ def parallel_map(
 
 
 def finished(function: Callable, items: Iterable, *, jobs: int | Executor = 1) -> Iterator[tuple[int, object]]:
-    """(i, function(item i)) of all items, in the order in which they are done.
+    """Return an iterator over (i, function(items[i])), in the order in which the tasks finish.
 
-    jobs: number of local processes, which are spawned, or an executor, which stays open. With one process, or one item,
-    everything runs in this process. `function` has to be found by import (a script's own functions are), and items and
-    results have to be picklable. The first error, an interrupt, or closing the iterator cancels the tasks that have not
-    begun, and ends local processes at once; use `contextlib.closing` if the loop itself may raise. Results are passed
-    on and not kept. Raises ValueError for other `jobs`, and RuntimeError if a local process ends before its task is
-    done.
+    jobs: number of local processes, which are spawned; or an executor, which is not shut down. With `jobs` = 1, or with
+    local processes and a single item, everything runs in this process. Other processes import `function` by its module
+    and name; functions of a script can be imported so too. Items and results have to be picklable. An error in a task,
+    Ctrl-C, or closing the iterator cancels the tasks that have not begun, and ends local processes at once. Use
+    `contextlib.closing` if the loop over the results may itself raise. A result is not stored after it has been
+    yielded. Raises ValueError for other `jobs`, and RuntimeError if a local process ends before its task is done.
     """
     items = list(items)
     if not isinstance(jobs, Executor) and (integer("jobs", jobs, 1) == 1 or len(items) < 2):
         return ((i, function(item)) for i, item in enumerate(items))
-    return _finished(function, items, jobs)  # a generator would check arguments only at its first item
+    return _finished(function, items, jobs)  # separate, since a generator would check `jobs` only at its first item
 
 
 def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator[tuple[int, object]]:
@@ -93,7 +102,7 @@ def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator
             guard = 'a program that imports as a module does, with its calls below `if __name__ == "__main__":`'
             raise RuntimeError(f"jobs: a process ended before its task was done; expected {guard}, or jobs=1") from None
         except BaseException:
-            if executor is jobs:  # a pool of our own cancels its tasks itself, and must not find them cancelled
+            if executor is jobs:  # local processes: `_processes` cancels the tasks, not this loop
                 for future in numbers:
                     future.cancel()
             raise
@@ -101,10 +110,13 @@ def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator
 
 @contextmanager
 def _processes(count: int) -> Iterator[Executor]:
-    """Spawned processes of this machine; after an error they are ended at once, even in the middle of a task."""
+    """Context with an executor of `count` spawned local processes.
+
+    After an error in the block the processes are ended at once, even in the middle of a task.
+    """
     if getattr(multiprocessing.current_process(), "_inheriting", False):
-        os._exit(1)  # a process that imports a main program without a guard; the parent reports it
-    # Spawned, not forked: a fork would copy the threads of the parent's libraries in an unknown state.
+        os._exit(1)  # this process imports a main program without a guard; the parent reports it
+    # Spawned, not forked. A fork would copy locks of the parent's libraries, but not the threads that release them.
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
     with ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent) as executor:
@@ -115,15 +127,18 @@ def _processes(count: int) -> Iterator[Executor]:
                 process.terminate()
             manager = getattr(executor, "_executor_manager_thread", None)
             executor.shutdown(wait=False, cancel_futures=True)
-            # The end of the interpreter would write to the pipe that this thread is closing. It may wait for ever where
-            # large items are queued, in Python before 3.11.5 (gh-94777).
+            # Wait until this thread has closed its pipe, because the interpreter writes to the pipe when it exits. Wait
+            # for 5 s at most: in Python before 3.11.5 the thread may never end if large items are queued (gh-94777).
             if manager is not None:
                 manager.join(5.0)
             raise
 
 
 def _end_with_parent() -> None:
-    """End this process once its parent is gone; a pool's process would wait for tasks that nobody can send."""
+    """Start a thread that ends this process once its parent has ended.
+
+    Without the thread, the process would go on waiting for tasks that nobody can send.
+    """
 
     def wait():
         multiprocessing.parent_process().join()
@@ -134,7 +149,10 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _interrupts_held_back():
-    """Delay Ctrl-C until the context is over. Processes started within never get it: the parent ends them."""
+    """Context that delays Ctrl-C until its end.
+
+    Processes that are started within it never get Ctrl-C, since they inherit the blocked signal. The parent ends them.
+    """
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -1,6 +1,7 @@
-"""Scenes: states at time 0. Random scenes take a seed or a `numpy.random.Generator`; the same seed gives the same bits.
+"""Functions that make scenes: states at time 0. Random scenes take a seed or a `numpy.random.Generator`.
 
-Circles are placed by multiples of their mean radius, so that all lengths times s give the same scene, s times as large.
+Equal seeds give scenes that are equal to the last bit. Gaps and skins are multiples of the mean radius: if all lengths
+are multiplied by s, the scene is the same, s times as large.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from deep_contact.state.validation import brief, expect, integer, number, real_n
 from deep_contact.state.world import World
 
 _TRIES = 20_000
-"""Draws in a row for one circle before the scene is taken to be full."""
+"""Largest number of random positions that are tried for one circle. If none of them is free, the box counts as full."""
 
 
 @suggesting
@@ -33,13 +34,15 @@ def circles_in_box(
     seed: int | np.random.Generator = 0,
     **world,
 ) -> State:
-    """The thesis's scene (section 3.4.1): circles at rest, drawn normally around the middle of a box, none overlapping.
+    """Make the thesis's scene (section 3.4.1): circles at rest, normally distributed around the middle of a box.
 
-    size: side of the box, or (width, height), m. radius: smallest and largest, uniform between, m.
-    sigma_coef: the standard deviation of the centres is sigma_coef · √(r size / 2) along each axis, m; r is the middle
-    of the radii, the thesis's 1 m.
-    density: kg/m². world: friction, restitution and gravity of the `World`.
-    Raises ValueError if the circles do not fit, saying how many did.
+    No circles overlap.
+
+    size: side of the box, or (width, height), m. radius: smallest and largest radius, m; radii are uniformly
+    distributed between the two. sigma_coef: factor of the standard deviation of the centres along each axis, which is
+    sigma_coef · √(r size / 2), m; r is the middle of the two radii, 1 m in the thesis. density: mass per area, kg/m².
+    world: friction, restitution and gravity of the `World`. Raises ValueError if the circles do not fit; the message
+    says how many did.
     """
     rng = _generator(seed)
     n = integer("n_bodies", n_bodies, least=1)
@@ -81,12 +84,14 @@ def lattice_in_box(
     seed: int | np.random.Generator = 0,
     **world,
 ) -> State:
-    """Circles at rest on a jittered square lattice from the floor up, for scenes too large or dense for chance.
+    """Make circles at rest on a jittered square lattice that begins at the floor.
 
-    columns: circles in a row; by default as many as make the lattice square. radius: smallest and largest, m.
-    gap: between the largest neighbours, as a share of their diameter; each circle is moved by up to half of it.
-    The box is as wide as the lattice and as high, so that nothing overlaps at the start. world: friction, restitution
-    and gravity of the `World`.
+    Use it for scenes with too many or too densely packed circles for the random places of `circles_in_box`. The box is
+    as wide and as high as the lattice, and no circles overlap.
+
+    columns: number of circles in a row; by default the lattice is as wide as it is high. radius: smallest and largest
+    radius, m. gap: gap between two neighbours of the largest radius, as a share of their diameter. Along each axis,
+    every circle is moved at random by up to half of this gap. world: friction, restitution and gravity of the `World`.
     """
     rng = _generator(seed)
     n = integer("n_bodies", n_bodies, least=1)
@@ -106,10 +111,10 @@ def lattice_in_box(
 
 @suggesting
 def column(n_bodies: int = 10, *, radius: float = 1.0, width: float = 30.0, density: float = 1.0, **world) -> State:
-    """Circles exactly above one another in the middle of the box, just touching.
+    """Make a column of circles at rest, exactly above one another in the middle of a box. Neighbours just touch.
 
-    radius: m. width: of the box, m; a silo that leaves no play has 2.02 radii. density: kg/m².
-    world: friction, restitution and gravity of the `World`.
+    radius: radius of all circles, m. width: width of the box, m; with 2.02 radii the circles exactly fit between the
+    walls. density: mass per area, kg/m². world: friction, restitution and gravity of the `World`.
     """
     n = integer("n_bodies", n_bodies, least=1)
     _checked_radius((radius, radius))
@@ -129,10 +134,11 @@ def hopper(
     radius: tuple[float, float] = (0.8, 1.0),
     **options,
 ) -> State:
-    """Circles on a jittered lattice above a funnel with a hole in the middle, through which they fall onto the floor.
+    """Make circles at rest above a funnel. They fall through the hole in its middle onto the floor.
 
-    opening: width of the hole in largest radii; below about 8 arches of circles may block it. steepness: angle of the
-    two sides over the floor, degrees. radius, options: those of `lattice_in_box`.
+    The circles lie on a jittered lattice. opening: width of the hole, in largest radii; below about 8, arches of
+    circles may block the hole. steepness: angle between each side of the funnel and the floor, degrees. radius,
+    options: arguments of `lattice_in_box`.
     """
     _, high = _checked_radius(radius)
     number("opening", opening, above=0)
@@ -141,7 +147,7 @@ def hopper(
     _, _, width, height = heap.world.box
     width = max(width, (opening + 4.0) * high)
     hole = 0.5 * opening * high
-    # There is space below for circles that fall through: the heap of all circles is lower than the lattice.
+    # The hole is as high above the floor as the lattice is high, so that all circles fit below it.
     foot, drop = height, math.tan(angle) * (0.5 * width - hole)
     ends = [(0.0, foot + drop), (0.5 * width - hole, foot), (0.5 * width + hole, foot), (width, foot + drop)]
     shift = (0.5 * (width - heap.world.box[2]), foot + drop + high)
@@ -152,10 +158,10 @@ def hopper(
 
 @suggesting
 def terrain(n_bodies: int = 300, *, bumps: int = 24, seed: int | np.random.Generator = 0, **options) -> State:
-    """Circles on a jittered lattice above a line of slopes and valleys from wall to wall.
+    """Make circles at rest above rough ground: a line of segments from wall to wall, with slopes and valleys.
 
-    bumps: number of segments of the line. The heights of their joints are random, from 0 to the width of a segment.
-    options: those of `lattice_in_box`.
+    The circles lie on a jittered lattice. bumps: number of segments. The heights of their ends are random, between 0
+    and the width of a segment. options: arguments of `lattice_in_box`.
     """
     rng = _generator(seed)
     heap = lattice_in_box(n_bodies, seed=rng, **options)
@@ -172,13 +178,15 @@ def terrain(n_bodies: int = 300, *, bumps: int = 24, seed: int | np.random.Gener
 
 @suggesting
 def drum(n_bodies: int = 300, *, froude: float = 0.05, filling: float = 0.4, sides: int = 60, **options) -> State:
-    """Circles in a drum that turns counter-clockwise: a regular polygon of segments whose surface moves.
+    """Make circles in a drum that rotates counter-clockwise.
 
-    froude: ω² R / g, with the drum's radius R: at 1e-3 avalanches follow one another, from 1e-2 to 1e-1 the surface
-    flows, beyond 1 circles stick to the wall. filling: share of the drum's area that a dense packing of the circles
-    takes, up to 0.45; less for mixed radii, since their lattice, which falls from the middle, takes more space. sides:
-    number of sides of the polygon. options: those of `lattice_in_box`. Raises ValueError for a drum that turns without
-    gravity.
+    The drum is a regular polygon of segments. They stay in place, and their surfaces move.
+
+    froude: Froude number ω² R / g, with the angular velocity ω and the radius R of the drum. At 1e-3 avalanches follow
+    one another; from 1e-2 to 1e-1 the surface of the heap flows; above 1 circles stick to the drum. filling: share of
+    the drum's area that the circles take in the densest packing, at most 0.45. The drum is larger, and the share
+    smaller, if the lattice from which the circles fall does not fit otherwise, as with mixed radii. sides: number of
+    sides of the polygon. options: arguments of `lattice_in_box`. Raises ValueError if froude > 0 without gravity.
     """
     number("froude", froude, low=0)
     number("filling", filling, low=0.01, high=0.45)
@@ -186,14 +194,14 @@ def drum(n_bodies: int = 300, *, froude: float = 0.05, filling: float = 0.4, sid
     heap = lattice_in_box(n_bodies, **options)
     gravity = math.hypot(*heap.world.gravity)
     expect(froude == 0 or gravity > 0, f"froude: expected 0 without gravity, which it is measured by, got {froude}")
-    half = 0.5 * math.hypot(*heap.world.box[2:])  # so that the corners of the lattice lie within
+    half = 0.5 * math.hypot(*heap.world.box[2:])  # half the diagonal of the lattice, whose corners lie in the drum
     area = 2.0 * math.sqrt(3.0) * float((heap.bodies.radius**2).sum())
     outer = max(math.sqrt(area / (math.pi * filling)), half / math.cos(math.pi / sides))
-    # The box stands clear of the drum: a circle that also touched a wall of the box would be slowed down.
+    # The box is larger than the drum. A circle in the drum that also touched a wall of the box would be slowed down.
     middle = outer + float(heap.bodies.radius.max())
     corner = 2.0 * math.pi * np.arange(sides + 1) / sides
     line = middle + outer * np.stack([np.cos(corner), np.sin(corner)], axis=1)
-    line[-1] = line[0]  # to the last bit, since two segments share this end
+    line[-1] = line[0]  # bit for bit, since two segments share this point
     world = replace(
         heap.world,
         box=(0, 0, 2 * middle, 2 * middle),
@@ -206,9 +214,9 @@ def drum(n_bodies: int = 300, *, froude: float = 0.05, filling: float = 0.4, sid
 
 @suggesting
 def barrel(rows: int = 150, *, columns: int = 26, seed: int | np.random.Generator = 0, **options) -> State:
-    """Columns of circles side by side, with a free space of 18 radii on either side, into which they collapse.
+    """Make columns of circles side by side. They collapse into the free space on either side, 18 radii wide.
 
-    The scene is that of the benchmark "barrel" of Box2D v3. options: those of `lattice_in_box`.
+    This is the scene of the benchmark "barrel" of Box2D v3. options: arguments of `lattice_in_box`.
     """
     columns = integer("columns", columns, least=1)
     heap = lattice_in_box(integer("rows", rows, least=1) * columns, columns=columns, seed=seed, **options)
@@ -220,9 +228,10 @@ def barrel(rows: int = 150, *, columns: int = 26, seed: int | np.random.Generato
 
 @suggesting
 def two_bodies(*, speed: float = 2.0, radius: tuple[float, float] = (1.0, 1.0), density: float = 1.0, **world) -> State:
-    """Two circles that touch and run into each other without gravity, each at half the closing `speed`, m/s.
+    """Make two circles that touch and move towards each other without gravity, each at half of `speed`.
 
-    radius: of the first (left) and of the second, m. world: friction and restitution of the `World`.
+    speed: closing speed, m/s. radius: radii of the left and of the right circle, m. world: friction and restitution of
+    the `World`.
     """
     first, second = (float(r) for r in radius)
     centres = 15.0 + np.array([[0.0, 0.0], [first + second, 0.0]])
@@ -232,7 +241,10 @@ def two_bodies(*, speed: float = 2.0, radius: tuple[float, float] = (1.0, 1.0), 
 
 @suggesting
 def single_body(*, height: float = 0.0, radius: float = 1.0, density: float = 1.0, **world) -> State:
-    """One circle in the middle of the thesis's box, `height` m above the floor. `world`: fields of `World`."""
+    """Make one circle above the middle of the floor of the thesis's box.
+
+    height: distance between the circle and the skin of the floor, m. world: fields of the `World`.
+    """
     bodies = make_bodies([[15.0, WALL_SKIN * radius + radius + height]], radius=radius, density=density)
     return State(name="single_body", world=World(**world), bodies=bodies)
 
@@ -241,9 +253,10 @@ def single_body(*, height: float = 0.0, radius: float = 1.0, density: float = 1.
 def drifting_circles(
     n_bodies: int = 100, *, speed: float = 2.0, seed: int | np.random.Generator = 0, **options
 ) -> State:
-    """The thesis's scene without gravity: every circle starts with a normally drawn velocity.
+    """Make the thesis's scene without gravity. Every circle starts with a random velocity.
 
-    speed: standard deviation of each velocity component, m/s. options: those of `circles_in_box`.
+    speed: standard deviation of each velocity component, which is normally distributed, m/s. options: arguments of
+    `circles_in_box`.
     """
     rng = _generator(seed)
     number("speed", speed, low=0)
@@ -253,7 +266,7 @@ def drifting_circles(
 
 
 def _generator(seed) -> np.random.Generator:
-    # NumPy also accepts sequences, and ends the process on a matrix.
+    # Checked here: NumPy also accepts sequences, and ends the process on a matrix.
     if isinstance(seed, np.random.Generator):
         return seed
     if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
@@ -262,7 +275,7 @@ def _generator(seed) -> np.random.Generator:
 
 
 def _positive(name: str, values, shapes, expected: str) -> np.ndarray:
-    """The values as float64. Raises ValueError unless they are finite numbers > 0 of one of these shapes."""
+    """Return the values as float64. Raises ValueError unless they are finite, > 0, and of one of these shapes."""
     array = real_numbers(values)
     if array is None or array.shape not in shapes or not (np.isfinite(array) & (array > 0)).all():
         raise ValueError(f"{name}: expected {expected}, got {brief(values)}")
@@ -277,10 +290,11 @@ def _checked_radius(radius) -> tuple[float, float]:
 
 
 def _roomy_size(radii: np.ndarray, sigma_coef: float) -> float:
-    """Side of a box, m, in which `circles_in_box` finds places for circles of these radii.
+    """Return the side of a box, m, in which `circles_in_box` finds places for circles of these radii, (n,), m.
 
-    The circles cover at most a quarter of the box, and the sum of their squared radii is at most six times the variance
-    of the centres: from 6.3 times on, random centres for all circles are not always found.
+    In this box the circles cover at most a quarter of the area, and the sum of their squared radii is at most six times
+    the variance of the centres along an axis. At 6.3 times the variance, random places for all circles are not always
+    found.
     """
     length = mean(radii)
     squares = float(((radii / length) ** 2).sum())

@@ -1,8 +1,10 @@
-"""Where the solver starts. Every start has one signature: `start(state, solver) -> (normal, tangent)`.
+"""Starting impulses of the solver. Every start is a callable `start(state, solver) -> (normal, tangent)`.
 
-state: a `State` with contacts. solver: the options it will be solved with. Returned: the impulses to start from, (m,)
-each, N·s. The engine knows a start by its name or takes any such callable; it raises where the result does not fit
-the contacts, and nothing falls back to zero.
+state: a `State` with m contacts. solver: options of the solver, such as `PGS()`. Returned: the normal and the tangent
+impulses from which the solver starts, (m,) each, N·s. A run takes a start by its name, or any such callable. It raises
+an error if the returned arrays do not fit the contacts; it never replaces them by zeros.
+
+Tests: tests/starts/test_starts.py
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""What a solved state tells: forces and their bounds, its contact problem as matrices, solutions and their errors."""
+"""Analysis of solved states: forces and their bounds, the contact problem as matrices, exact solutions, and errors.
+
+Tests: tests/test_imports.py
+"""
 
 from __future__ import annotations
 

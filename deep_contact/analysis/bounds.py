@@ -1,9 +1,10 @@
-"""Bounds on the impulses behind a motion, which with friction does not determine them.
+"""Bounds on the contact impulses of a motion. With friction, the motion does not determine the impulses.
 
-A pile has more contacts than it needs to rest. All impulses in Coulomb's cone with the same sums on every circle give
-the same motion, and no observer of positions and velocities can tell them apart. Their set is convex (McNamara and
-Herrmann, Phys. Rev. E 70, 061303, 2004): each end of a contact's interval is a linear program. Sources: Radjai, Jean,
-Moreau and Roux, Phys. Rev. Lett. 77, 274 (1996); Unger, Kertész and Wolf, Phys. Rev. Lett. 94, 178001 (2005).
+A pile at rest has more contacts than equilibrium needs. All impulses in Coulomb's cone with equal sums of force and
+torque on every circle give the same motion, and no observation of positions and velocities can tell them apart. The set
+of these impulses is convex (McNamara and Herrmann, Phys. Rev. E 70, 061303, 2004). Each bound on a contact's impulse is
+therefore the solution of a linear program. Sources: Radjai, Jean, Moreau and Roux, Phys. Rev. Lett. 77, 274 (1996);
+Unger, Kertész and Wolf, Phys. Rev. Lett. 94, 178001 (2005).
 """
 
 from __future__ import annotations
@@ -28,30 +29,33 @@ if TYPE_CHECKING:
     from highspy import Highs
 
 EXACT = 1e-8
-"""Largest residual of the impulses, m/s."""
+"""Largest residual (`metrics.residual`) of impulses that count as exact, m/s."""
 
 MOVING = 1e-6
-"""Least velocity of a contact that separates or slides, m/s."""
+"""Relative velocity above which a contact counts as separating or as sliding, m/s."""
 
 DETERMINED = 1e-6
-"""Width below which an interval counts as a point, over the mean λ_n; the programs are solved to 1e-10."""
+"""Width of an interval of impulses, divided by the mean λ_n, below which the impulse counts as determined. The linear
+programs are solved to 1e-10."""
 
 OPTIONS: dict[str, bool | int | float | str] = {
     "output_flag": False, "threads": 1, "presolve": "off", "solver": "simplex", "simplex_strategy": 4,
     "primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10,
 }  # fmt: skip
-"""Options of HiGHS: primal simplex, without output."""
+"""Options of HiGHS, the solver of the linear programs: primal simplex, without output."""
 
 
 @by_value
 class ForceBounds(NamedTuple):
-    """Bounds on the impulses of k contacts; a force is an impulse over Δt. A missing bound is ±infinity.
+    """Bounds on the impulses of k contacts. ±infinity stands for a bound that does not exist.
 
     | field      | meaning                                                                       | shape  | unit |
     |------------|-------------------------------------------------------------------------------|--------|------|
     | normal     | least and largest λ_n                                                         | (k, 2) | N·s  |
     | tangent    | least and largest λ_t                                                         | (k, 2) | N·s  |
-    | determined | share of the contacts whose intervals are narrower than 1e-6 of the mean λ_n  |        |      |
+    | determined | share of the contacts with both intervals narrower than 1e-6 of the mean λ_n  |        |      |
+
+    An impulse divided by Δt is the mean force over the step.
     """
 
     normal: np.ndarray
@@ -65,18 +69,19 @@ def force_bounds(
     *,
     jobs: int | Executor = 1,
 ) -> ForceBounds:
-    """Least and largest λ_n and λ_t of each contact over all impulses that give the state's exact motion.
+    """Return the least and the largest λ_n and λ_t of contacts among all impulses that give the state's exact motion.
 
-    The motion is that of the state's impulses if their `metrics.residual` is at most 1e-8 m/s. From other impulses, and
-    for a state that is not solved, `dc.solve_exactly` finds the motion.
-    A contact that separates at more than 1e-6 m/s, a hundred times that residual, carries no impulse. A contact that
-    slides faster than that lies on an edge of Coulomb's cone. Slower contacts may carry all that the cone allows: their
-    intervals are too wide rather than too narrow.
+    The exact motion is that of the state's impulses if their `metrics.residual` is at most 1e-8 m/s. Otherwise, and for
+    a state that is not solved, `dc.solve_exactly` computes it. A contact that separates faster than 1e-6 m/s, a hundred
+    times that residual, carries no impulse. A contact that slides faster than 1e-6 m/s lies on an edge of Coulomb's
+    cone. A slower contact may carry any impulse in the cone. Its interval may therefore be too wide, but not too
+    narrow.
 
-    contacts: indices of contacts; None for all. jobs: number of processes, or an executor.
-    Raises ValueError naming the argument, also if no exact motion was found.
+    contacts: indices of the contacts; None stands for all. jobs: number of processes, or an executor. Raises
+    ValueError, which names the argument, for wrong arguments and if no exact motion is found. Raises
+    ModuleNotFoundError without the package highspy.
     """
-    _highspy()  # before anything is computed
+    _highspy()  # raises an error at once if the package is missing
     state = ready(state)
     number_of_parts = parallel.workers(jobs) if isinstance(jobs, Executor) else integer("jobs", jobs, 1)
     m, mu, c = state.contacts.count, state.world.friction, state.contacts
@@ -85,8 +90,8 @@ def force_bounds(
     expect(exact.converged, f"state: expected contacts solved to {EXACT:g} m/s, got a residual of {exact.residual:.3g}")
     impulse = np.column_stack([exact.solution.normal_impulses, exact.solution.tangent_impulses])
     u_n, u_t = metrics.row_velocities(state, exact.solution.velocities, exact.solution.angular_velocities)
-    # λ of a contact is a sum of the unit vectors along the edges of its cone, (1, ±μ). The cone is the set of all sums
-    # with factors >= 0.
+    # The cone of a contact is the set of sums of its two edges, unit vectors along (1, ±μ), with factors >= 0. These
+    # factors are the unknowns of the programs.
     sides = np.array([1.0, -1.0] if mu > 0 else [0.0])
     side, of = np.nonzero((u_n <= MOVING) & (sides[:, None] * u_t <= MOVING))
     places = np.concatenate([2 * of, 2 * of + 1]), np.tile(np.arange(of.size), 2)
@@ -94,7 +99,7 @@ def force_bounds(
     edges = sparse.csc_array(
         (np.concatenate([np.full(of.size, 1 / length), sides[side] * mu / length]), places), shape=(2 * m, of.size)
     )
-    impulse[u_n > MOVING] = 0.0  # the residual leaves small impulses there
+    impulse[u_n > MOVING] = 0.0  # an inexact solution may have small impulses at separating contacts
     slides = np.abs(u_t) > MOVING
     impulse[slides, 1] = -np.sign(u_t[slides]) * mu * impulse[slides, 0]
     scale = float(impulse[:, 0].mean()) if impulse[:, 0].any() else 1.0
@@ -112,9 +117,10 @@ def force_bounds(
 
 
 def _side_by_side(state: StateWithContacts, wanted: Sequence[int]) -> np.ndarray:
-    """An order of contacts in which each lies beside the one before: up a strip of the scene and down the next one.
+    """Return an order, (k,), of the contacts with the indices `wanted`, in which successive contacts lie side by side.
 
-    The solutions of neighbours differ little, so that simplex gets from one to the next in fewer steps.
+    The order goes up a vertical strip of the scene and down the next one. The solutions for neighbours differ little,
+    so that the simplex method gets from one to the next in few steps.
     """
     position = state.contacts.position[wanted]
     strip = np.floor(position[:, 0] / (4.0 * state.bodies.radius.mean()))
@@ -122,14 +128,14 @@ def _side_by_side(state: StateWithContacts, wanted: Sequence[int]) -> np.ndarray
 
 
 class Program(NamedTuple):
-    """Linear programs x >= 0, A x = total that differ in their costs."""
+    """The constraints x >= 0, A x = total, which all linear programs share. The programs differ in their costs."""
 
     matrix: sparse.csr_array
     total: np.ndarray
 
 
 def _highspy():
-    """The package highspy. Raises ModuleNotFoundError with the command that installs it."""
+    """Return the module highspy. If it is missing, raises ModuleNotFoundError with the command that installs it."""
     try:
         import highspy
     except ModuleNotFoundError as error:
@@ -139,7 +145,10 @@ def _highspy():
 
 
 def _highs(program: Program) -> Highs:
-    """The program in HiGHS, solved without a cost. Primal simplex goes on from its solution when the cost changes."""
+    """Return a HiGHS solver that has solved the program with costs of 0.
+
+    If the costs change, the primal simplex method goes on from this solution.
+    """
     highs, A = _highspy().Highs(), program.matrix
     for option, value in OPTIONS.items():
         highs.setOptionValue(option, value)
@@ -150,12 +159,16 @@ def _highs(program: Program) -> Highs:
 
 
 def _ends(part: tuple) -> np.ndarray:
-    """Least and largest λ_n and λ_t over the scale, (k, 2, 2), of some contacts. part: (contacts, edges, program)."""
+    """Return the least and the largest λ_n and λ_t of k contacts, divided by the mean λ_n: (k, 2, 2).
+
+    The second index is the row, normal or tangent. The third index is the bound, least or largest. part: (indices of
+    the contacts, edges of all cones as columns, `Program`).
+    """
     contacts, edges, program = part
     edges, ends = edges.tocsr(), np.zeros((len(contacts), 2, 2))
     is_zero, columns = np.zeros(edges.shape[0], bool), np.arange(edges.shape[1], dtype=np.int32)
     highs, known = _highs(program), _highspy().HighsModelStatus
-    for row_of, end, k in np.ndindex(2, 2, len(contacts)):  # one end of all contacts, then the next
+    for row_of, end, k in np.ndindex(2, 2, len(contacts)):  # one bound for all contacts, then the next bound
         row, sign, place = 2 * contacts[k] + row_of, (1.0, -1.0)[end], (k, row_of, end)
         cost = sign * edges[[row]].toarray()[0]
         if not cost.any() or (end == 0 and is_zero[row]):
@@ -165,7 +178,8 @@ def _ends(part: tuple) -> np.ndarray:
         status = highs.getModelStatus()
         if status == known.kOptimal:
             ends[place] = sign * highs.getInfo().objective_function_value
-            is_zero[::2] |= (edges @ highs.getSolution().col_value)[::2] == 0.0  # the least λ_n: no program
+            # Contacts with λ_n = 0 in this solution have a least λ_n of 0: they need no program for it.
+            is_zero[::2] |= (edges @ highs.getSolution().col_value)[::2] == 0.0
         else:
             expect(status == known.kUnbounded, f"state: expected programs that HiGHS solves, got {status}")
             ends[place] = -sign * np.inf

@@ -1,9 +1,9 @@
-"""Forces in the user's terms: of contacts, on circles, walls and segments; stress, coordination, neighbours.
+"""Forces of contacts, their sums on circles, walls and segments, and stress, coordination and neighbours.
 
-A force is an impulse over Δt. In a solved state (`on_step`, `Simulation.solved`) it is the mean over the state's step,
-with all substeps and rebounds. Any other state has the solved impulses of the step before, or of its last substep,
-without rebounds and without contacts that have opened since. `Simulation.force_on` has means over time that leave
-nothing out.
+A force is an impulse divided by Δt. In a solved state (`on_step`, `Simulation.solved`) it is the mean over the state's
+step, including all substeps and rebounds. Any other state carries the solved impulses of the step before, or only of
+that step's last substep. Impulses of rebounds, and of contacts that have opened since, are missing in it.
+`Simulation.force_on` gives means over time that include all impulses.
 """
 
 from __future__ import annotations
@@ -22,20 +22,20 @@ from deep_contact.state.validation import expect, integer, number
 from deep_contact.stepping.prepare import has_engine_arrays, ready
 
 MOST_CELLS = 10_000_000
-"""Largest number of cells of `mean_stress`."""
+"""Largest number of cells in `mean_stress`."""
 
 
 @by_value
 class Forces(NamedTuple):
-    """The forces that the contacts of a state carry.
+    """The contact forces of a state with n circles, m contacts and S segments.
 
     | field    | meaning                                                          | shape  | unit |
     |----------|------------------------------------------------------------------|--------|------|
-    | contact  | force of each contact on its second body; the first has minus it | (m, 2) | N    |
-    | net      | force of all contacts on each circle, without gravity            | (n, 2) | N    |
-    | torque   | torque of all contacts on each circle, counter-clockwise         | (n,)   | N·m  |
+    | contact  | force on the second body of each contact; minus it on the first  | (m, 2) | N    |
+    | net      | sum of the contact forces on each circle, without gravity        | (n, 2) | N    |
+    | torque   | sum of the contact torques on each circle, counter-clockwise     | (n,)   | N·m  |
     | walls    | "floor", "right", "ceiling", "left" → force on the wall          | (2,)   | N    |
-    | segments | force on each segment                                            | (S, 2) | N    |
+    | segments | sum of the contact forces on each segment                        | (S, 2) | N    |
     """
 
     contact: np.ndarray
@@ -46,7 +46,7 @@ class Forces(NamedTuple):
 
 
 def forces(state: State) -> Forces:
-    """The forces of a state's contacts. They are 0 in a state of positions alone, which no step has led to.
+    """Return the contact forces of a state. They are 0 if it has no impulses, as before its first step.
 
     Raises ValueError on a state that is not valid.
     """
@@ -58,15 +58,17 @@ def forces(state: State) -> Forces:
     places = c.body_a, c.body_b, c.normal, c.separation, state.bodies.radius
     contact, on, torque = sum_forces(*places, *impulses, 1.0 / state.dt, segments)
     if len(on) != n + 4 + segments:
-        ready(state, of_step=True)  # raises ValueError; a check before the sums would take longer than they do
+        ready(state, of_step=True)  # raises ValueError; a check of every state would take longer than the sums
     return Forces(contact, on[:n], torque, dict(zip(SIDES, on[n:])), on[n + 4 :])
 
 
 @njit(cache=True)
 def sum_forces(body_a, body_b, normal, separation, radius, normal_impulse, tangent_impulse, rate, segments):
-    """Forces of contacts, (m, 2), N, on circles, walls and segments, (n + 4 + S, 2), N, and torques, (n,), N·m.
+    """Return the forces of contacts, their sums on bodies, and the torques on circles.
 
-    The second array is empty, (0, 2), if the contacts do not fit the circles. rate: 1 / Δt, 1/s.
+    These are three arrays: the force on the second body of each contact, (m, 2), N; the sum of the forces on each
+    circle, wall and segment, (n + 4 + S, 2), N; the torque on each circle, (n,), N·m. The second array is empty, (0,
+    2), if the contact arrays do not fit the circles. rate: 1 / Δt, 1/s. segments: number of segments S.
     """
     n, m, end = radius.shape[0], body_a.shape[0], radius.shape[0] + 4 + segments
     contact, on, torque = np.empty((m, 2)), np.zeros((end, 2)), np.zeros(n)
@@ -91,10 +93,11 @@ def sum_forces(body_a, body_b, normal, separation, radius, normal_impulse, tange
 
 
 def stress(state: State) -> np.ndarray:
-    """The mean stress in each circle, (n, 2, 2), N/m, compression positive: σ = −Σ l ⊗ f / (π r²), the virial.
+    """Return the mean stress in each circle, (n, 2, 2), N/m, positive in compression: the virial stress.
 
-    l: vector from the centre to a contact, m. f: force of the contact on the circle, N. Half of the trace is the
-    pressure. At rest σ is symmetric. Source: Christoffersen, Mehrabadi and Nemat-Nasser, J. Appl. Mech. 48, 339 (1981).
+    It is σ = −Σ l ⊗ f / (π r²). l: vector from the centre to a contact point, m. f: force of the contact on the circle,
+    N. The pressure is half of the trace. If the circles rest, σ is symmetric. Source: Christoffersen, Mehrabadi and
+    Nemat-Nasser, J. Appl. Mech. 48, 339 (1981).
     """
     state = ready(state, of_step=True)
     on_contact = forces(state).contact[:, None]
@@ -109,10 +112,11 @@ def stress(state: State) -> np.ndarray:
 
 
 def mean_stress(state: State, spacing: float) -> np.ndarray:
-    """The stress of the medium in square cells over the box, (rows, columns, 2, 2), N/m: rows from the bottom.
+    """Return the mean stress in square cells that cover the box, (rows, columns, 2, 2), N/m. Row 0 is at the bottom.
 
-    The stress of a cell is the sum of stress times area over the circles with centres in the cell, over the cell's
-    area. With fewer than about five circles in a cell it shows single contacts more than a medium.
+    The stress of a cell is a sum over the circles with centres in the cell, divided by the cell's area: the sum of
+    stress (`stress`) times area of the circle. With fewer than about five circles in a cell, single contacts dominate
+    its stress.
 
     spacing: side of a cell, m.
     """
@@ -131,7 +135,7 @@ def mean_stress(state: State, spacing: float) -> np.ndarray:
 
 
 def coordination(state: State) -> np.ndarray:
-    """Number of contacts of each circle that push, λ_n > 0, (n,)."""
+    """Return the coordination number of each circle, (n,): the number of its contacts with λ_n > 0."""
     state = ready(state, of_step=True)
     c, n = state.contacts, state.bodies.count
     pushes = c.normal_impulse > 0
@@ -139,12 +143,17 @@ def coordination(state: State) -> np.ndarray:
 
 
 def name_of(state: State, body: int) -> int | str:
-    """A body as users name it: index of a circle, name of a wall, or "segment 3"."""
+    """Return the name of a body for users: the index of a circle, the name of a wall, or "segment 3". body: as in
+    `Contacts`.
+    """
     return body_name(int(body), state.bodies.count)
 
 
 def neighbours(state: State, circle: int) -> list[int | str]:
-    """The bodies that touch a circle: indices of circles, "floor", "right", "ceiling", "left", "segment 3"."""
+    """Return the bodies that touch a circle: indices of circles, "floor", "right", "ceiling", "left", "segment 3".
+
+    circle: index of the circle.
+    """
     state = ready(state, of_step=True)
     circle, c = integer("circle", circle, most=state.bodies.count - 1), state.contacts
     return [name_of(state, body) for body in [*c.body_a[c.body_b == circle], *c.body_b[c.body_a == circle]]]

@@ -1,22 +1,26 @@
-"""Exact solutions of the contact problem with friction, where sweeps do not converge: by Lemke's pivots.
+"""Exact solutions of the contact problem with friction by Lemke's pivots, for problems in which sweeps do not converge.
 
-A pile is hyperstatic: λ may move along the null space of A = J M⁻¹ Jᵀ without a change of the velocities. Sweeps let λ
-drift there until a contact opens or starts to slip. With friction the remaining problem is neither symmetric nor
-monotone, and may have a mode that grows under sweeps.
+A pile is hyperstatic: λ may move along the null space of A = J M⁻¹ Jᵀ without a change of the velocities. Sweeps of PGS
+let λ drift along the null space until a contact opens or starts to slip. With friction the remaining problem is neither
+symmetric nor monotone, and may have a mode that grows from sweep to sweep.
 
-A proximal step (Rockafellar 1976) adds ε diag(A) (λ − c) to the velocities, where c are the last impulses. It removes
-the null space, and its fixed points are the solutions of the contact problem. Each step is solved by the parametric
-form of Lemke's algorithm (Lemke 1965; Cottle, Pang and Stone 1992, sections 4.4-4.5; with friction Anitescu and Potra
-1997). Every contact has a state: it is open, sticks, or slips in one direction. The impulses c, put on the bounds of
-the states that they show, solve a problem whose velocities are shifted by q. The shift t q is then withdrawn, from
-t = 1 to t = 0. Between two changes of a state λ is linear in t. Each change, a pivot, decides the direction in which t
-goes on: with friction t may have to grow again for a while. ε decreases as long as steps are easy.
+A proximal step (Rockafellar 1976) adds ε diag(A) (λ − c) to the velocities, where c are the impulses before the step.
+This term removes the null space. If a step leaves the impulses unchanged, they solve the contact problem.
+
+Each step is solved by the parametric form of Lemke's algorithm (Lemke 1965; Cottle, Pang and Stone 1992, sections
+4.4-4.5; with friction Anitescu and Potra 1997). Every contact has a state: it is open, sticks, or slips in one of two
+directions. The states at the start follow from c. The impulses c are moved to the bounds of these states. They then
+solve a problem whose velocities are shifted by some q. The algorithm reduces this shift, t q, from t = 1 to t = 0.
+While all contacts stay in their states, λ is linear in t. A change of a state is called a pivot. It decides whether t
+falls or grows until the next pivot; without friction t always falls. As long as the steps need few pivots, ε is reduced
+from step to step.
 
 A pivot is a solve with SuperLU's factors (`proximal_path`), which costs too much for the steps of a run.
 
-Without friction the problem is monotone, and every path leads to a solution. With friction ε may be too small against a
-negative mode, so that a path turns back for good. That step is abandoned, and done again with a larger ε. The method is
-for scenes of up to some 1,000 circles. If there are many solutions, the start and these constants choose one.
+Without friction the problem is monotone, and every path leads to a solution. With friction, ε may be too small to
+outweigh a mode that grows. A path may then turn back and never reach t = 0. Such a step is abandoned, and done again
+with a larger ε. The method is for scenes of up to some 1,000 circles. If there are many solutions, the start and the
+constants of this module choose one.
 """
 
 from __future__ import annotations
@@ -42,39 +46,41 @@ from deep_contact.stepping.problem import ContactSolution, solve, step_problem
 from deep_contact.stepping.rows import projected
 
 FIRST_EPSILON = 1e-4
-"""ε of the first step."""
+"""ε of the first proximal step. ε has no unit: it is a factor of diag(A)."""
 
 LEAST_EPSILON = 1e-6
-"""Smallest ε. If other contacts hold the contact of a pivot, the pivot divides by a number of order ε, which costs as
-many of the 16 digits as 1 / ε has."""
+"""Smallest ε. If impulses of other contacts can replace the impulse of the pivot's contact, the pivot divides by a
+number of order ε. This division loses log₁₀(1 / ε) of the 16 digits."""
 
 LARGEST_EPSILON = 0.1
-"""Largest ε: a drift of λ leaves a residual of ε times that drift."""
+"""Largest ε. A step that changes λ by δ leaves a residual of ε diag(A) δ."""
 
 FIRST_SWEEPS = NesterovPGS(sweeps=300, tolerance=None)
-"""Sweeps before the first step, from the impulses that a state holds or that follow from its positions. More sweeps
-take longer than the pivots that they save."""
+"""Solver whose sweeps improve the starting impulses before the first proximal step. More sweeps would take longer than
+the pivots that they save."""
 
 EASY = 5
-"""Largest number of pivots of an easy step, which divides ε by 5 for the next step."""
+"""Largest number of pivots of an easy step. After an easy step, ε is divided by 5."""
 
 FAIR = 12
-"""Largest number of pivots of a fair step, which halves ε for the next step."""
+"""Largest number of pivots of a fair step. After a fair step that is not easy, ε is halved."""
 
 MOST_PIVOTS = 120
-"""Largest number of pivots of a step, which is then abandoned: a larger ε is cheaper than a long path."""
+"""Largest number of pivots and factorisations in a step. A longer step is abandoned, because a step with a larger ε is
+cheaper than a long path."""
 
 MOST_IDLE = 30
-"""Number of easy steps in a row without a smaller residual that lead to a restart: to sweeps, and to the first ε."""
+"""Number of easy steps in a row without a smaller residual, after which the solve restarts: it does sweeps, and sets ε
+to `FIRST_EPSILON`."""
 
 MOST_RESTARTS = 5
-"""Largest number of restarts. After them the solve ends, since rounding allows no better solution."""
+"""Largest number of restarts. After them the solve ends, because rounding is taken to allow no better solution."""
 
 SWEEPS_ELSEWHERE = 200
-"""Sweeps of PGS in a restart, and from impulses from which not even the largest ε leads on."""
+"""Number of PGS sweeps in a restart, and after a step that was abandoned although ε was `LARGEST_EPSILON`."""
 
 LONGEST_DRIFT = 1e4
-"""Largest number of steps without a pivot that one step along their line may replace."""
+"""If steps without a pivot move λ along a line, `_drifted` replaces at most this number of them by one step."""
 
 
 @by_value
@@ -83,12 +89,13 @@ class ExactSolution(NamedTuple):
 
     | field          | meaning                                                                      | unit |
     |----------------|------------------------------------------------------------------------------|------|
-    | solution       | `ContactSolution`; its record has the status, and no sweeps. Without bodies  |      |
-    |                | its velocities are empty                                                     |      |
-    | residual       | `metrics.residual` of the solution, or `lcp.natural_residual` of a problem   | m/s  |
+    | solution       | `ContactSolution`, whose record has the status, and no sweeps. Its           |      |
+    |                | velocities are empty if the problem has no bodies                            |      |
+    | residual       | `metrics.residual` of the solution, or `lcp.natural_residual` if a           | m/s  |
+    |                | `ContactProblem` was solved                                                  |      |
     | converged      | whether the residual is at most the argument `residual`                      |      |
-    | factorizations | number of factorised matrices: at least one in each proximal step            |      |
-    | pivots         | number of changes of a contact's state, over all steps                       |      |
+    | factorizations | number of matrix factorisations: at least one in each proximal step          |      |
+    | pivots         | number of changes of a contact's state, over all proximal steps              |      |
     """
 
     solution: ContactSolution
@@ -98,7 +105,8 @@ class ExactSolution(NamedTuple):
     pivots: int
 
 
-@np.errstate(all="ignore")  # Impulses of sweeps may overflow where friction is large; their residual rejects them.
+# Impulses may overflow in sweeps with a large μ. They are then rejected because of their residual.
+@np.errstate(all="ignore")
 def solve_exactly(
     state: State | ContactProblem,
     normal_start: np.ndarray | None = None,
@@ -107,18 +115,19 @@ def solve_exactly(
     residual: float = 1e-8,
     most_pivots: int = 5_000,
 ) -> ExactSolution:
-    """Solve a state's contact problem to `metrics.residual` <= residual, m/s, if such a solution is found.
+    """Solve a contact problem with friction until its residual is at most `residual`, if such a solution is found.
 
-    state: a `State` with contacts, or a `ContactProblem` with friction, whose residual is the equal
-    `lcp.natural_residual`. normal_start, tangent_start: impulses to start from, (m,) each, N·s. By default the solve
-    starts from the impulses that the state holds as its start (of `support` if it has no past), or from these after 300
-    sweeps of NesterovPGS, whichever have the smaller residual. residual: largest residual that counts as converged,
-    m/s. most_pivots: largest number of pivots and factorisations together.
+    state: a `State` with contacts, or a `ContactProblem` with friction. The residual is `metrics.residual` or, for a
+    `ContactProblem`, the equal `lcp.natural_residual`. normal_start, tangent_start: impulses to start from, (m,) each,
+    N·s. By default the solve starts from the state's starting impulses (of `support` if it has no past; 0 for a
+    `ContactProblem`), or from the impulses after 300 sweeps of NesterovPGS, whichever have the smaller residual.
+    residual: largest residual that counts as converged, m/s. most_pivots: largest number of pivots and factorisations
+    together.
 
-    The solution with the least residual so far is returned, in the friction cone; `converged` says whether it is within
-    `residual`. Equal arguments give equal solutions. See the module on the method, its costs and where it fails.
-    Raises ValueError naming field and value if the state has no contacts, on a state or problem that is not valid or
-    beyond `state.arrays.LIMITS`, and on arguments that do not fit each other.
+    The result is the solution with the least residual so far, in the friction cone; `converged` tells whether its
+    residual is at most `residual`. Equal arguments give equal solutions. The module `analysis.exact` describes the
+    method, its costs and its limits. Raises ValueError, which names field and value, if the state has no contacts, if a
+    state or problem is not valid or exceeds `state.arrays.LIMITS`, and if arguments do not fit each other.
     """
     number("residual", residual, above=0)
     integer("most_pivots", most_pivots)
@@ -150,9 +159,9 @@ def solve_exactly(
 
 
 def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_pivots: int):
-    """Do proximal steps from impulses in the cone, (2 m,).
+    """Do proximal steps from impulses in the friction cone, (2 m,), N·s, until the residual, m/s, is small enough.
 
-    Returns the best impulses, (2 m,), the number of factorisations and the number of pivots.
+    Returns the impulses with the least residual, (2 m,), the number of factorisations and the number of pivots.
     """
     blocks = blocks_of(problem)
     impulse = impulse.reshape(-1, 2)
@@ -165,8 +174,8 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
         reached, done, factorized = _step(problem, blocks, start, epsilon, limit)
         factorizations, pivots = factorizations + factorized, pivots + done
         if reached is None:
-            # The path from these impulses leads nowhere. A larger ε makes the next path shorter. Sweeps help as well,
-            # but undo what earlier steps have reached, so they come last.
+            # The step was abandoned. A larger ε makes the next path shorter. Sweeps help as well, but undo what earlier
+            # steps have reached, so they are done only at the largest ε.
             sweeps = SWEEPS_ELSEWHERE if epsilon == LARGEST_EPSILON else 0
             epsilon = min(LARGEST_EPSILON, max(LEAST_EPSILON, 4 * epsilon))
         else:
@@ -175,7 +184,8 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
         impulse = _swept(blocks, impulse, sweeps)
         wrong, last = natural_residual(problem, impulse.ravel()), wrong
         if done == 0 and reached is not None and 0.9 * last < wrong < 1.1 * last:
-            # Only λ changes, along a line: λ follows this line until a contact reaches a bound.
+            # The step had no pivot and left the residual as it was: λ moves along a line. Follow this line until a
+            # contact reaches a bound.
             impulse = _drifted(blocks, start, reached)
             wrong = natural_residual(problem, impulse.ravel())
         idle = 0 if done > EASY or wrong < least else idle + 1
@@ -184,7 +194,7 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
         elif not np.isfinite(wrong):
             impulse = best
         if reached is not None:
-            # Near the solution a sweep raises the residual more than it lowers it.
+            # Near the solution a sweep raises the residual, so the impulses before the sweep are compared too.
             exact = _swept(blocks, reached, 0)
             at_end = natural_residual(problem, exact.ravel())
             if at_end < least:
@@ -195,15 +205,19 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
 
 
 def _start_of_problem(problem: ContactProblem) -> np.ndarray:
-    """The start with the smaller residual, (2 m,): impulses of 0, or the impulses that sweeps find from them."""
+    """Return starting impulses, (2 m,), N·s: zeros, or the impulses after `FIRST_SWEEPS`.
+
+    Of the two, those with the smaller residual are returned.
+    """
     starts = np.zeros(problem.b.size), solve_problem(problem, FIRST_SWEEPS)[0]
     return min(starts, key=lambda impulse: np.nan_to_num(natural_residual(problem, impulse), nan=np.inf))
 
 
 def _start_of_state(state: State) -> np.ndarray:
-    """The start with the smaller residual, (2 m,): the impulses that the state holds, or these after sweeps.
+    """Return starting impulses, (2 m,), N·s: those of the state, or the impulses after `FIRST_SWEEPS` from them.
 
-    A state without a past starts from the impulses of `support`.
+    Of the two, those with the smaller residual are returned. If the state has no past, the impulses of `support` take
+    the place of its own.
     """
     held = state.contacts.normal_start, state.contacts.tangent_start
     if not state.contacts.have_past:
@@ -214,7 +228,10 @@ def _start_of_state(state: State) -> np.ndarray:
 
 
 def _start_of(problem: ContactProblem, normal, tangent) -> np.ndarray:
-    """The impulses that the user passed, validated and projected onto the cone, (2 m,)."""
+    """Return the user's starting impulses, validated and projected onto the friction cone, (2 m,), N·s.
+
+    normal, tangent: λ_n and λ_t, (m,) each, N·s.
+    """
     start = []
     for name, value in (("normal_start", normal), ("tangent_start", tangent)):
         start.append(floats(name, value, problem.friction.shape))
@@ -225,9 +242,9 @@ def _start_of(problem: ContactProblem, normal, tangent) -> np.ndarray:
 
 @njit(cache=True)
 def _swept(blocks: Blocks, impulse, sweeps):
-    """The impulses after `sweeps` sweeps of PGS, (m, 2), with λ_t clipped to ±μ λ_n.
+    """Return the impulses, (m, 2), N·s, after `sweeps` sweeps of PGS, with λ_t clipped to ±μ λ_n.
 
-    The clip is needed: a sweep that lowers λ_n can leave λ_t outside of the cone.
+    The clip is needed because a sweep relaxes λ_t before λ_n: if λ_n then falls, λ_t may lie outside of the cone.
     """
     impulse = impulse.copy()
     for _ in range(sweeps):
@@ -240,13 +257,16 @@ def _swept(blocks: Blocks, impulse, sweeps):
 
 @njit(cache=True)
 def _drifted(blocks: Blocks, before, after):
-    """Impulses further along the line from `before` to `after`, (m, 2), where the first contact leaves its cone."""
+    """Extend the line from `before` to `after`, (m, 2) each, N·s, until the first contact reaches a bound of its cone.
+
+    Returns the impulses at that point, (m, 2), N·s, after one sweep.
+    """
     length = LONGEST_DRIFT
     for i in range(after.shape[0]):
         mu, p_n, p_t = blocks.mu[i], after[i, 0], after[i, 1]
         d_n, d_t = p_n - before[i, 0], p_t - before[i, 1]
         for room, rate in ((p_n, d_n), (mu * p_n - p_t, mu * d_n - d_t), (mu * p_n + p_t, mu * d_n + d_t)):
-            # A contact that slips stays on its bound, but for rounding.
+            # A slipping contact moves along its bound. Only rounding takes it off the bound, which does not count.
             if rate < -1e-9 * (abs(d_n) + abs(d_t)) and room > 1e-12 * p_n:
                 length = min(length, room / -rate)
     return _swept(blocks, after + length * (after - before), 1)
@@ -254,11 +274,11 @@ def _drifted(blocks: Blocks, before, after):
 
 @njit(cache=True)
 def _shown(blocks: Blocks, impulse):
-    """The start of a step from impulses c: the states of the contacts, and λ, u and q at t = 1.
+    """Return the start of a proximal step from impulses c, (m, 2), N·s: (states, λ, u, q) at t = 1.
 
-    The state of a contact is the bound to which the natural map (`metrics.residual`) projects it. λ is c, put on the
-    bounds of the states. u are the velocities of λ, shifted by q so that they satisfy the conditions of the states.
-    Returns (states (m,), λ, u, q, (m, 2) each).
+    states, (m,): each contact's state is the bound to which the natural map (`metrics.residual`) projects it. λ, (m,
+    2), N·s: c, moved to the bounds of the states. u, (m, 2), m/s: the velocities of λ, changed so that they satisfy the
+    conditions of the states. q, (m, 2), m/s: this change.
     """
     u, x, q = np.empty_like(impulse), impulse.copy(), np.empty_like(impulse)
     states = np.empty(impulse.shape[0], np.int64)
@@ -267,7 +287,7 @@ def _shown(blocks: Blocks, impulse):
         mu = blocks.mu[i]
         bound = mu * impulse[i, 0]
         free_t = impulse[i, 1] - u[i, 1] / blocks.diagonal[i, 3]
-        # A contact without friction counts as slipping up, which means λ_t = 0, and never changes its direction.
+        # With μ = 0 a contact counts as slipping up, which means λ_t = 0, and never changes its direction of slip.
         state = SLIP_UP if free_t > bound or mu == 0.0 else SLIP_DOWN if free_t < -bound else STICK
         if impulse[i, 0] - u[i, 0] / blocks.diagonal[i, 0] <= 0.0:
             state = OPEN
@@ -293,9 +313,10 @@ def _shown(blocks: Blocks, impulse):
 
 
 def _step(problem: ContactProblem, blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
-    """A proximal step: solve the problem with ε diag(A) (λ − c) added to its velocities, c being the impulses, (m, 2).
+    """Do a proximal step: solve the problem with ε diag(A) (λ − c) added to its velocities.
 
-    c lies in the cone. Returns (λ, or None if the step is abandoned, number of pivots, number of factorisations).
+    impulse: c, (m, 2), N·s, in the friction cone. limit: largest number of pivots and factorisations. Returns (λ, or
+    None if the step is abandoned; number of pivots; number of factorisations).
     """
     states, x, u, q = _shown(blocks, impulse)
     reached, pivots, factorizations = follow(problem, epsilon, states, x, u, q, limit)

@@ -1,7 +1,9 @@
-"""The contact problem as matrices, which the engine never builds.
+"""The contact problem as sparse matrices, A λ + b, which is the form of textbooks.
 
-It is the form of textbooks, and of problems from other programs, whose bodies are unknown. `matrix_solvers` and `exact`
-solve it.
+The engine never builds these matrices. `matrix_solvers` and `exact` solve problems in this form. Such a problem may
+come from another program, and its bodies may be unknown.
+
+Tests: tests/analysis/test_exact.py, tests/stepping/test_metrics.py
 """
 
 from __future__ import annotations
@@ -22,29 +24,32 @@ from deep_contact.stepping.segments import ground_velocities
 class ContactProblem(NamedTuple):
     """Find λ with 0 ≤ λ_n ⟂ (A λ + b)_n ≥ 0, and |λ_t| ≤ μ λ_n against the slip (A λ + b)_t (Eq 2.27, 2.29).
 
-    r = 2 m; the rows of contact i are 2 i (normal) and 2 i + 1 (tangent). If the bodies are unknown, as in problems of
-    other programs, jacobian, inverse_mass and free_velocity are None.
-    The thesis writes A = J M⁻¹ Jᵀ Δt because its λ is a force; here λ is an impulse.
+    m contacts have r = 2 m rows: contact i has the rows 2 i (normal) and 2 i + 1 (tangent). If the bodies are unknown,
+    as in problems of other programs, jacobian, inverse_mass and free_velocity are None. The thesis writes A = J M⁻¹ Jᵀ
+    Δt because its λ is a force; here λ is an impulse, N·s.
     """
 
     A: sparse.csr_array  # (r, r), 1/kg: J M⁻¹ Jᵀ
-    b: np.ndarray  # (r,), m/s: J (v + Δt M⁻¹ F) plus velocities of segments and surfaces; v after the step's impacts
-    jacobian: sparse.csr_array | None = None  # (r, 3n): J; J v is the share of the circles in the row velocities
+    b: np.ndarray  # (r,), m/s: J (v + Δt M⁻¹ F), v after impacts, plus velocities of segments and surfaces
+    jacobian: sparse.csr_array | None = None  # (r, 3n): J, from the velocities of n circles to those of the rows
     inverse_mass: np.ndarray | None = None  # (3n,): diagonal of M⁻¹ for (v_x, v_y, ω) of every circle
     free_velocity: np.ndarray | None = None  # (3n,), m/s, rad/s: v + Δt M⁻¹ F for (v_x, v_y, ω) of every circle
     friction: np.ndarray | None = None  # (m,): μ of every contact
 
     def velocities(self, impulse: np.ndarray) -> np.ndarray:
-        """(v_x, v_y, ω) of every circle after the impulses, v + M⁻¹ (Δt F + Jᵀ λ), (3n,)."""
+        """Return (v_x, v_y, ω) of every circle with the impulses λ, (3n,), m/s and rad/s: v + M⁻¹ (Δt F + Jᵀ λ).
+
+        impulse: λ, (r,), N·s. Raises ValueError if the problem has no bodies.
+        """
         if self.jacobian is None or self.inverse_mass is None or self.free_velocity is None:
             raise ValueError("jacobian: expected that of the bodies, got None: a problem of matrices has no bodies")
         return self.free_velocity + self.inverse_mass * (self.jacobian.T @ impulse)
 
 
 def check_problem(problem: ContactProblem) -> ContactProblem:
-    """The validated contact problem, in float64, with the column indices of A sorted.
+    """Validate a contact problem. Returns it in float64, with the column indices of A sorted.
 
-    Raises ValueError naming field and value.
+    Raises ValueError, which names field and value.
     """
     A = sparse.csr_array(problem.A, dtype=np.float64)
     A.sort_indices()
@@ -73,7 +78,11 @@ def check_problem(problem: ContactProblem) -> ContactProblem:
 
 
 def natural_residual(problem: ContactProblem, impulse: np.ndarray) -> float:
-    """`metrics.residual` from matrices, m/s: the largest |λ − Π(λ − u / d)| d over all rows, d the diagonal of A."""
+    """Return `metrics.residual`, computed from matrices, m/s: the largest |λ − Π(λ − u / d)| d over all rows.
+
+    u: velocity of the row, A λ + b, m/s. d: its element of A's diagonal, 1/kg. Π: limits λ_n to >= 0, and λ_t to ±μ
+    λ_n. impulse: λ, (2 m,), N·s.
+    """
     diagonal = problem.A.diagonal()
     free = impulse - (problem.A @ impulse + problem.b) / diagonal
     largest = problem.friction * np.maximum(impulse[::2], 0.0)
@@ -84,7 +93,7 @@ def natural_residual(problem: ContactProblem, impulse: np.ndarray) -> float:
 
 
 def contact_problem(state: State) -> ContactProblem:
-    """Assemble A and b of a state that has contacts."""
+    """Return the `ContactProblem` of a state that has contacts."""
     if state.contacts is None:
         raise ValueError("state.contacts: expected the contacts to have been found, got None (see dc.step)")
     bodies, contacts = state.bodies, state.contacts
@@ -100,7 +109,7 @@ def contact_problem(state: State) -> ContactProblem:
         k = body[i]
         arm = contacts.position[i] - bodies.position[k]
         if side > 0:
-            # The arm of b as in the engine: positions are exact to rounding, separations define the overlap.
+            # The engine computes the arm of b from the separation. From the contact point it would differ by rounding.
             arm = -(bodies.radius[k] + 0.5 * contacts.separation[i])[:, None] * contacts.normal[i]
         for kind, direction in enumerate((contacts.normal, tangent)):
             turn = arm[:, 0] * direction[i, 1] - arm[:, 1] * direction[i, 0]

@@ -1,8 +1,9 @@
-"""PGS and NesterovPGS on a contact problem of matrices, A λ + b: for problems whose bodies are unknown.
+"""PGS and NesterovPGS for a contact problem in matrix form, A λ + b, whose bodies may be unknown.
 
-A sweep gathers the velocities of a contact's two rows from A's blocks of 2 × 2, one for every contact with which it
-shares a body. The blocks on the diagonal may couple normal and tangent, as they do for shapes other than circles, and μ
-may differ from contact to contact. In exact arithmetic the sweeps are the engine's.
+A sweep computes the velocities of a contact's two rows from 2 × 2 blocks of A. There is one block for every contact
+that shares a body with this contact, and one on the diagonal. The diagonal block may couple normal and tangent, as it
+does for shapes other than circles, and μ may differ from contact to contact. In exact arithmetic the sweeps are those
+of the engine.
 """
 
 from __future__ import annotations
@@ -22,18 +23,18 @@ from deep_contact.stepping.rows import projected
 
 
 class Blocks(NamedTuple):
-    """A problem as blocks of 2 × 2: for each contact the blocks beside the diagonal, and the block on it."""
+    """A contact problem as 2 × 2 blocks of A: k blocks beside the diagonal, sorted by contact, and m blocks on it."""
 
-    first: np.ndarray  # (m + 1,): the blocks of contact i are first[i] to first[i + 1]
-    contact: np.ndarray  # (k,): the contact whose impulses a block multiplies
-    entry: np.ndarray  # (k, 4): nn, nt, tn, tt of every block
-    diagonal: np.ndarray  # (m, 6): nn, nt, tn, tt of the block on the diagonal, and the inverses of nn and tt
-    b: np.ndarray  # (m, 2): b of the problem, velocities without impulses, m/s
+    first: np.ndarray  # (m + 1,): contact i has the blocks first[i] to first[i + 1] - 1 beside the diagonal
+    contact: np.ndarray  # (k,): for each block, the contact whose impulses it multiplies
+    entry: np.ndarray  # (k, 4): elements nn, nt, tn, tt of each block, 1/kg
+    diagonal: np.ndarray  # (m, 6): nn, nt, tn, tt of each diagonal block, 1/kg; 1 / nn and 1 / tt, kg
+    b: np.ndarray  # (m, 2): velocities of the rows without impulses, m/s
     mu: np.ndarray  # (m,): μ of every contact
 
 
 def blocks_of(problem: ContactProblem) -> Blocks:
-    """The `Blocks` of a problem that `check_problem` has validated."""
+    """Return the `Blocks` of a problem that `check_problem` has validated."""
     A = sparse.bsr_array(problem.A, blocksize=(2, 2))
     A.sort_indices()
     m = problem.b.size // 2
@@ -51,10 +52,11 @@ def blocks_of(problem: ContactProblem) -> Blocks:
 def solve_problem(
     problem: ContactProblem, solver=None, start: np.ndarray | None = None
 ) -> tuple[np.ndarray, ConvergenceRecord]:
-    """Impulses of a contact problem with friction, (2 m,), N·s, and the `ConvergenceRecord` of the sweeps.
+    """Solve a contact problem with friction. Returns (impulses, (2 m,), N·s; `ConvergenceRecord` of the sweeps).
 
-    solver: `PGS` (the default) or `NesterovPGS`; its tolerance is a number, or None. start: λ to start from, (2 m,); by
-    default 0. Returns impulses in the friction cone. The problem stays as it is. Raises ValueError naming the argument.
+    solver: `PGS` (the default) or `NesterovPGS`; its tolerance is a number, N·s, or None. start: λ to start from, (2
+    m,), N·s; by default 0. The returned impulses lie in the friction cone. The problem is not changed. Raises
+    ValueError, which names the argument.
     """
     solver = PGS(tolerance=None) if solver is None else solver
     fits = type(solver) is NesterovPGS or (type(solver) is PGS and not solver.islands)
@@ -71,7 +73,10 @@ def solve_problem(
 
 @njit(cache=True)
 def gather(blocks, impulse, i):
-    """(A λ + b)_n and (A λ + b)_t of contact i without the contributions of its own impulses, m/s."""
+    """Return (A λ + b)_n and (A λ + b)_t of contact i, m/s, without the contributions of its own impulses.
+
+    impulse: λ_n and λ_t of every contact, (m, 2), N·s.
+    """
     u_n, u_t = blocks.b[i, 0], blocks.b[i, 1]
     for k in range(blocks.first[i], blocks.first[i + 1]):
         j = blocks.contact[k]
@@ -83,7 +88,10 @@ def gather(blocks, impulse, i):
 
 @njit(cache=True)
 def sweep_matrix(blocks, impulse):
-    """A sweep over all contacts, in place, the friction row before the normal row. Returns θ, N·s."""
+    """Do one sweep of PGS over all contacts, in place. Returns θ, the largest change of an impulse, N·s.
+
+    Every contact relaxes its friction row before its normal row. impulse: (m, 2), N·s.
+    """
     theta = 0.0
     for i in range(impulse.shape[0]):
         u_n, u_t = gather(blocks, impulse, i)
@@ -100,7 +108,7 @@ def sweep_matrix(blocks, impulse):
 
 @njit(cache=True)
 def velocities(blocks, impulse, u):
-    """u = A λ + b, in place, (m, 2)."""
+    """Write the velocities of all rows, A λ + b, into u, (m, 2), m/s. impulse: λ, (m, 2), N·s."""
     for i in range(impulse.shape[0]):
         own = blocks.diagonal[i]
         u_n, u_t = gather(blocks, impulse, i)
@@ -110,9 +118,10 @@ def velocities(blocks, impulse, u):
 
 @njit(cache=True)
 def _relax(blocks, impulse, tolerance, theta, has_momentum):
-    """Sweep until θ is within the tolerance, with or without the momentum of `solvers.nesterov`.
+    """Sweep, in place, until θ is at most the tolerance, N·s, or `theta` is full. Returns the number of sweeps.
 
-    A negative tolerance is never met. Returns the number of sweeps.
+    A negative tolerance is never reached. theta: buffer for the θ of each sweep. has_momentum: whether the impulses are
+    extrapolated after each sweep, as in `solvers.nesterov`.
     """
     flat = impulse.reshape(impulse.size)
     last, swept_from, memory = flat.copy(), flat.copy(), nesterov.FIRST_MEMORY

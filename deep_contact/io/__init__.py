@@ -1,1 +1,1 @@
-"""Files of states and simulations."""
+"""Reading and writing of files: states, simulations, tables of contacts, and results."""

@@ -1,4 +1,7 @@
-"""The contacts of a state as a table, and as a CSV file."""
+"""The contacts of a state as a table, and as a CSV file.
+
+Tests: tests/io/test_files.py
+"""
 
 from __future__ import annotations
 
@@ -11,11 +14,12 @@ from deep_contact.stepping.prepare import ready
 
 
 def contact_table(state: State, path=None) -> np.ndarray:
-    """The contacts of a state as a structured array, which `pandas.DataFrame` takes.
+    """Return the contacts of a state as a structured array, one row a contact, which `pandas.DataFrame` accepts.
 
-    Columns: a, the number of a circle; b, a text: the number of a circle, "floor" … or "segment 3"; x, y, separation,
-    m; n_x, n_y, the unit normal; normal_impulse, tangent_impulse, N·s; force_x, force_y on b, N. path: a CSV file with
-    these columns, which is written too. Raises OSError where the file cannot be written.
+    Columns: a, the index of the first circle; b, the name of the second body: the index of a circle, "floor" … or
+    "segment 3"; x, y, the contact point, m; n_x, n_y, the unit normal from a to b; separation, m; normal_impulse,
+    tangent_impulse, N·s; force_x, force_y, the force on b, N. path: a CSV file to which the table is written too.
+    Raises OSError if the file cannot be written.
     """
     state, force = ready(state, of_step=True), forces(state).contact
     c = state.contacts

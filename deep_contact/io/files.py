@@ -1,4 +1,4 @@
-"""Files written in one move, so that a reader never sees half a file; and files of any origin, read with a limit."""
+"""Writing of files in one move, so that a reader never sees half a file, and reading of files up to a limit of size."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from pathlib import Path
 
 
 class FileError(ValueError):
-    """A file does not hold what it should; the message names file, field and value."""
+    """Error: a file does not contain what it should. The message names file, field and value."""
 
 
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary path beside `path`, renamed to it at the end of the block; after an error it is removed instead.
+    """Context with a temporary path beside `path`. At the end of the block the temporary file is renamed to `path`.
 
-    The folder is made if there is none. A symbolic link stays one: the file that it names is replaced. A file that is
-    replaced hands on its mode. Raises OSError, naming `path`, where it cannot be written.
+    After an error in the block the temporary file is removed instead. The folder is made if it is missing. If `path` is
+    a symbolic link, the file to which it points is replaced. The new file takes over the permissions of a file that it
+    replaces. Raises OSError, which names `path`, if it cannot be written.
     """
     with _beside(path) as (target, temporary):
         yield temporary
@@ -31,14 +32,20 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
 
 
 def check_writable(path: str | os.PathLike) -> None:
-    """Raise OSError, naming the path, where `replacing` could not write. Only the folder of the path is left behind."""
+    """Raise OSError, which names the path, if `replacing` could not write to it.
+
+    The folder of the path is made if it is missing, and stays.
+    """
     with _beside(path) as (_, temporary):
         temporary.touch()
 
 
 @contextmanager
 def _beside(path: str | os.PathLike) -> Iterator[tuple[Path, Path]]:
-    """The file that a path leads to, and a temporary path beside it that no other writer has; removed at the end."""
+    """Context with (target, temporary): the file to which a path leads, and a new temporary path in its folder.
+
+    No other process uses the temporary path. Its file is removed at the end.
+    """
     target = Path(os.path.realpath(path))
     if target.exists():
         refuse_special(target, OSError)
@@ -47,7 +54,7 @@ def _beside(path: str | os.PathLike) -> Iterator[tuple[Path, Path]]:
     try:
         yield target, temporary
     except OSError as error:
-        is_nameless = error.filename is None and error.errno is not None  # as on a full disk
+        is_nameless = error.filename is None and error.errno is not None  # the error names no file, as on a full disk
         if is_nameless or error.filename == str(temporary):
             error.filename, error.filename2 = str(path), None
         raise
@@ -56,17 +63,17 @@ def _beside(path: str | os.PathLike) -> Iterator[tuple[Path, Path]]:
 
 
 def write_bytes(path: str | os.PathLike, data: bytes) -> Path:
-    """Write a file in one move; make its folder if there is none. Returns the path."""
+    """Write bytes to a file in one move. The folder is made if it is missing. Returns the path."""
     with replacing(path) as temporary:
         temporary.write_bytes(data)
     return Path(path)
 
 
 def write_json(path: str | os.PathLike, value) -> Path:
-    """Write `value` as strict JSON for people and programs; make the folder if there is none. Returns the path.
+    """Write `value` to a file as strict JSON. The folder is made if it is missing. Returns the path.
 
-    Objects are indented, lists without objects stay on one line, floats keep their bits. Raises ValueError for NaN and
-    infinity, and TypeError for what JSON cannot hold.
+    Objects are indented, lists without objects stay on one line, and floats are written with all their digits. Raises
+    ValueError for NaN and infinity, and TypeError for values that JSON cannot represent.
     """
     return write_bytes(path, (_json(value) + "\n").encode())
 
@@ -82,16 +89,19 @@ def _json(value, indent: str = "") -> str:
 
 
 def refuse_special(path: Path, error: type[Exception]) -> None:
-    """Raise an `error` for a folder, a device, or a pipe, which would wait for its writer; OSError without a file."""
+    """Raise `error` if a path is a folder, a device or a pipe; a read from a pipe would wait for its writer.
+
+    Raises OSError if there is no file.
+    """
     if not stat.S_ISREG(path.stat().st_mode):
         raise error(f"{path}: expected a file, got a folder, pipe or device")
 
 
 def read_bytes(path: str | os.PathLike, most: int, error: type[ValueError] = ValueError) -> bytes:
-    """The bytes of a file, unpacked where it begins as gzip does, or its name ends in .gz.
+    """Return the bytes of a file. They are decompressed if they begin as gzip data do, or if its name ends in .gz.
 
-    Raises an `error` naming the file where it has more than `most` bytes, packed or not, or is not whole; OSError where
-    it cannot be opened.
+    most: largest number of bytes, both before and after decompression. Raises `error`, which names the file, if the
+    file is larger, or if its gzip data are damaged or incomplete. Raises OSError if the file cannot be opened.
     """
     path = Path(path)
     refuse_special(path, error)
@@ -100,7 +110,8 @@ def read_bytes(path: str | os.PathLike, most: int, error: type[ValueError] = Val
     data = path.read_bytes()
     if path.suffix != ".gz" and data[:2] != b"\x1f\x8b":
         return data
-    member = zlib.decompressobj(wbits=31)  # not `gzip`, which has no limit and takes microseconds for an empty member
+    # Not by the module `gzip`: it has no limit of size, and takes microseconds for each empty member.
+    member = zlib.decompressobj(wbits=31)
     try:
         unpacked = member.decompress(data, most + 1)
         if len(unpacked) > most or not member.eof or member.unused_data:

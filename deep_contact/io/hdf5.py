@@ -1,9 +1,11 @@
-"""HDF5 files of any origin, read with limits, and with errors that name the file.
+"""Safe reading of HDF5 files from any source: limits of size, no links to other files, errors that name the file.
 
-`opened` opens a file. `dataset` finds an array that lies in the file itself, and `datasets` finds all arrays below a
-group; neither reads their numbers. `read` reads arrays, after a check of their size together. Without these limits the
-HDF5 library follows links into other files, fills memory with fill values that the file does not hold, and unpacks a
+`opened` opens a file. `dataset` finds an array of the file, and `datasets` finds all arrays below a group; neither
+reads their numbers. `read` reads arrays after a check of their total size. Without these functions, the HDF5 library
+follows links into other files, fills memory with default values that are not stored in the file, and decompresses a
 chunk to any size.
+
+Tests: tests/io/test_hostile.py
 """
 
 from __future__ import annotations
@@ -23,20 +25,21 @@ from deep_contact.io.files import refuse_special
 from deep_contact.state.validation import expect
 
 MOST_PACKED = 1032
-"""Most bytes that gzip packs into one byte: an array with more bytes for each stored byte is not in its file."""
+"""Largest ratio of compression by gzip. If the size of an array exceeds its stored bytes by more than this ratio, the
+array is not in its file."""
 
 _FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_LZF, h5py.h5z.FILTER_FLETCHER32}
 _HARMLESS = 2**28
-"""Most bytes to which a chunk may unpack without a check."""
+"""Size to which a chunk may decompress without a check, bytes."""
 
 _MOST_TEXTS = 1000
 
 
 @contextmanager
 def opened(path, error: type[ValueError] = ValueError) -> Iterator[h5py.File]:
-    """A file, open for reading. What its contents raise in the block becomes an `error` that names the file.
+    """Context with a file, open for reading. Errors that its contents cause in the block are raised as `error`.
 
-    Raises OSError where the file cannot be opened.
+    The message of `error` names the file. Raises OSError if the file cannot be opened.
     """
     path = Path(path)
     refuse_special(path, error)
@@ -51,18 +54,24 @@ def opened(path, error: type[ValueError] = ValueError) -> Iterator[h5py.File]:
         if "already open" in str(fault) or "flag values" in str(fault):
             raise error(f"{path}: expected a closed file, got one that this process has open: close it first") from None
         raise error(f"{path}: expected an HDF5 file, whole and undamaged: {fault}") from fault
-    except Exception as fault:  # h5py raises what it happens to meet: OSError, RuntimeError, KeyError …
+    except Exception as fault:  # h5py raises errors of many types for damaged files: RuntimeError, KeyError …
         raise error(f"{path}: expected an HDF5 file, whole and undamaged: {fault}") from fault
 
 
 def member(group, name: str):
-    """The group or array of this name, or the link itself where it leads to another place, or None."""
+    """Return the group or array of this name, or None if there is none.
+
+    If the name is a link to another place, the link itself is returned.
+    """
     link = group.get(name, getlink=True)
     return group[name] if isinstance(link, h5py.HardLink) else link
 
 
 def dataset(group, name: str) -> h5py.Dataset:
-    """An array of the group, before it is read. Raises ValueError unless it lies in this file."""
+    """Return an array of the group, before its numbers are read.
+
+    Raises ValueError unless the numbers are in this file.
+    """
     array, where = member(group, name), f"{group.name}/{name}".strip("/")
     is_here = isinstance(array, h5py.Dataset) and not (array.is_virtual or array.external)
     expect(is_here, f"{where}: expected an array in this file, got {array}")
@@ -73,7 +82,9 @@ def dataset(group, name: str) -> h5py.Dataset:
 
 
 def datasets(group, prefix: str = "", seen: frozenset | set = frozenset()) -> dict[str, h5py.Dataset]:
-    """All arrays below the group by their paths, as `dataset` finds them. Raises ValueError for an array met twice."""
+    """Return path -> array (`dataset`) for all arrays below the group. Raises ValueError if two links lead to one
+    object.
+    """
     below, seen = {}, seen or set()
     for name in sorted(group):
         item = member(group, name)
@@ -89,7 +100,10 @@ def datasets(group, prefix: str = "", seen: frozenset | set = frozenset()) -> di
 
 
 def read(arrays: Mapping[str, h5py.Dataset], most: int) -> dict[str, np.ndarray]:
-    """The contents of the arrays. Raises ValueError unless they are numbers, of at most `most` bytes together."""
+    """Read the numbers of arrays. Returns name -> NumPy array.
+
+    Raises ValueError if an array does not contain numbers, or if all together have more than `most` bytes.
+    """
     for name, data in arrays.items():
         expect(data.dtype.kind in "iuf", f"{name}: expected numbers, got {data.dtype}")
     size = sum(data.nbytes for data in arrays.values())
@@ -98,7 +112,10 @@ def read(arrays: Mapping[str, h5py.Dataset], most: int) -> dict[str, np.ndarray]
 
 
 def attribute(item, name: str):
-    """An attribute of a group or file. Raises ValueError where it is missing, or larger than the file."""
+    """Return an attribute of a group or file.
+
+    Raises ValueError if it is missing, or if it is larger than the file.
+    """
     expect(name in item.attrs, f"{name}: expected this attribute, got none")
     stored = item.attrs.get_id(name)
     count = math.prod(stored.shape or ())
@@ -109,7 +126,9 @@ def attribute(item, name: str):
 
 
 def _check_chunks(data: h5py.Dataset, name: str) -> None:
-    """Raise ValueError where a chunk was packed by a filter not in `_FILTERS`, or unpacks to more than its size."""
+    """Raise ValueError if an array is compressed by a filter not in `_FILTERS`, or a chunk decompresses to too many
+    bytes.
+    """
     if data.chunks is None:
         return
     packing = data.id.get_create_plist()
@@ -118,20 +137,21 @@ def _check_chunks(data: h5py.Dataset, name: str) -> None:
     expect(are_ours, f"{name}: expected gzip or LZF, shuffled or not, got filters {filters}")
     if h5py.h5z.FILTER_DEFLATE not in filters or data.id.get_storage_size() * MOST_PACKED <= _HARMLESS:
         return
-    size = math.prod(data.chunks) * data.dtype.itemsize + 4  # and a checksum
+    size = math.prod(data.chunks) * data.dtype.itemsize + 4  # bytes of a chunk and of its checksum
     for place in product(*(range(0, length, step) for length, step in zip(data.shape, data.chunks))):
         if (data.id.get_chunk_info_by_coord(place).size or 0) * MOST_PACKED > _HARMLESS:
             left_out, packed = data.id.read_direct_chunk(place)
-            is_packed = not left_out >> filters.index(h5py.h5z.FILTER_DEFLATE) & 1  # gzip may leave a chunk as it is
+            is_packed = not left_out >> filters.index(h5py.h5z.FILTER_DEFLATE) & 1  # a chunk may be uncompressed
             if is_packed and len(zlib.decompressobj().decompress(packed, size + 1)) > size:
                 raise ValueError(f"{name}: expected chunks of {size} bytes, got one that unpacks to more")
 
 
 def endless_heap(path) -> str:
-    """The damage that makes HDF5 walk for ever through a heap of texts, in words; empty where there is none.
+    """Return a description of damage that makes the HDF5 library loop for ever, or "" if there is none.
 
-    The library steps on by the size of each free object, however small (1.14 and 2.0, `H5HG__cache_heap_deserialize`).
-    It reports all other damage itself. (HDF5 File Format Specification, III.E, Global Heap.)
+    HDF5 stores texts in a heap. The library walks through the heap by the size of each free object, however small this
+    size is (1.14 and 2.0, `H5HG__cache_heap_deserialize`). It reports all other damage itself. (HDF5 File Format
+    Specification, III.E, Global Heap.)
     """
     data, at = Path(path).read_bytes(), 0
     while (at := data.find(b"GCOL\x01\0\0\0", at)) >= 0:
@@ -140,7 +160,8 @@ def endless_heap(path) -> str:
             index, _, _, size = _OBJECT.unpack_from(data, at)
             if index == 0 and size < _OBJECT.size:
                 return f"a free object at byte {at} of {size} bytes"
-            # The size of free space, object 0, includes its head; that of others does not, and is padded to 8 bytes.
+            # The size of free space (object 0) includes its header. The size of any other object does not, and is
+            # padded to a multiple of 8 bytes.
             at += size if index == 0 else _OBJECT.size + (size + 7) // 8 * 8
     return ""
 

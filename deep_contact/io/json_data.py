@@ -1,4 +1,7 @@
-"""Values as strict JSON holds them."""
+"""Conversion of values to types that strict JSON can store.
+
+Tests: tests/figures/test_results.py
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,15 @@ from deep_contact.io.provenance import provenance  # noqa: F401 (scripts take it
 
 
 class ResultsError(ValueError):
-    """Results that JSON cannot hold, or that do not follow their format."""
+    """Error: results that JSON cannot store, or that do not follow their format."""
 
 
 def plain(value, *, digits: int | None = None, where: str = "data"):
-    """`value` as JSON holds it: dict, list, str, int, float, bool and None only. A NamedTuple becomes a dict.
+    """Return `value` in types that JSON can store: dict, list, str, int, float, bool and None.
 
-    digits: significant digits kept of floats in NumPy arrays, so that long curves stay small; None keeps all. where:
-    name of the value for error messages. Raises ResultsError naming the place and the value for NaN, infinity, a key
-    that is not a string, or anything that JSON does not know.
+    A NamedTuple becomes a dict. digits: number of significant digits of floats in NumPy arrays, so that long curves
+    stay small; None leaves all digits. where: name of the value for error messages. Raises ResultsError, which names
+    the place and the value, for NaN, infinity, a key that is not a string, or a type that JSON does not know.
     """
     if isinstance(value, np.ndarray) and value.ndim:
         if value.dtype.kind not in "biufU":
@@ -42,6 +45,6 @@ def plain(value, *, digits: int | None = None, where: str = "data"):
         return {key: plain(item, digits=digits, where=f"{where}.{key}") for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         if all(type(item) is int or (type(item) is float and math.isfinite(item)) for item in value):
-            return list(value)  # long curves: no name is made for every number
+            return list(value)  # long curves: no name for messages is made for each number
         return [plain(item, digits=digits, where=f"{where}[{i}]") for i, item in enumerate(value)]
     raise ResultsError(f"{where}: expected numbers, text, lists or dicts, got {type(value).__name__}")

@@ -1,7 +1,9 @@
-"""State files of the thesis's authors, put into the canonical form of `state_xml` before they are read.
+"""Conversion of state files of the thesis's authors to the canonical form of `state_xml`, before they are read.
 
-data/README.md describes the two dialects, and how their gaps are filled. `state_xml` fills two of these gaps: the
-separations, and the box where the file has none.
+data/README.md describes the two dialects, and how missing values are filled in. `state_xml` fills in two of them: the
+separations, and the box if the file has none.
+
+Tests: tests/io/test_state_xml.py
 """
 
 from __future__ import annotations
@@ -16,11 +18,11 @@ from deep_contact.state import constants
 
 BODY = dict(mass="value", position="x y", velocity="x y", orientation="theta", inertia="value", spin="omega")
 CONTACT = dict(position="x y", normal="x y", impulse="n t", start="n t")
-"""Children of bodies and contacts, and their attributes, in canonical form."""
+"""BODY and CONTACT: tag of a child of a body, or of a contact, in canonical form -> attributes of this child."""
 
 _TAGS = {"angle": "orientation", "angular_velocity": "spin"}
 _ATTRIBUTES = {"vx": "x", "vy": "y", "nx": "x", "ny": "y", "ni": "n", "ti": "t"}
-"""Names of pybox2d's exports -> canonical ones."""
+"""Tags and attributes in pybox2d's exports -> their names in canonical form."""
 
 _OF_SOLVER = ("vel_iter", "vel_thres", "pos_iter", "pos_thres")
 
@@ -34,9 +36,9 @@ _MAX_TEXT = 1000
 
 
 def modernise(root, source: str) -> None:
-    """Put the tree of an old file into the canonical form, in place, but for the gaps that `state_xml` fills.
+    """Convert the tree of an old file to canonical form, in place. `state_xml` fills in separations and a missing box.
 
-    source: the file's name. Raises StateFileError.
+    root: root element. source: name of the file, from which the number of the step is read. Raises StateFileError.
     """
     refuse_attributes(root, {"name", "time", "dt", *_OF_SOLVER})
     for child in root:
@@ -52,7 +54,7 @@ def modernise(root, source: str) -> None:
         if root.find(container) is None and (is_flat or root.find(tag) is not None):
             _add(root, container).extend(root.findall(tag))
     contacts = root.findall("contacts/contact")
-    by_index(contacts)  # so that a file of contacts alone is refused at once
+    by_index(contacts)  # checks indices, so that a file with contacts alone is refused at once
     _complete_settings(root, source)
     _complete_shapes(root.iterfind("bodies/body"), contacts)
     solved = root.find("contacts") is not None and (not contacts or root.find("contacts/contact/impulse") is not None)
@@ -61,7 +63,7 @@ def modernise(root, source: str) -> None:
 
 
 def _add(parent, tag: str, **attributes):
-    """A new child, on the line of its parent."""
+    """Add a child to `parent`, with the parent's line number for error messages. Returns the child."""
     child = etree.SubElement(parent, tag, attributes)
     child.sourceline = parent.sourceline
     return child
@@ -85,10 +87,11 @@ def _compact(element, text: str) -> str:
 
 
 def _complete_shapes(bodies, contacts: list) -> None:
-    """Give circles their radius and the box its corners, as their shape or the first of their contacts prints them.
+    """Add the radius of circles and the corners of the box to bodies without them, in place.
 
-    Where no radius is printed, a circle gets that of a solid disc with its mass and inertia. Where no corners are
-    printed, the box stays without them. A file with only what section 5.2.1 lists has no shapes and no orientations.
+    They are taken from the text of the body's shape, or from the first contact that prints this shape. If no radius is
+    printed, a circle gets that of a solid disc with its mass and inertia. If no corners are printed, the box stays
+    without them. A file with only what section 5.2.1 of the thesis lists has no shapes and no orientations.
     """
     printed = {}
     for contact in contacts:
@@ -104,7 +107,7 @@ def _complete_shapes(bodies, contacts: list) -> None:
             _add(body, "orientation", theta="0.0")
         if not (len(shape) or "radius" in shape.attrib):
             _complete_shape(body, shape, is_box, printed)
-        if not is_box and body.find("inertia") is None:  # as in files of 1 to 14 May 2018: that of a solid disc
+        if not is_box and body.find("inertia") is None:  # files of 1 to 14 May 2018: a solid disc's
             mass, radius = to_float(read_text(_part(body, "mass"), "value")), to_float(read_text(shape, "radius"))
             _add(body, "inertia", value=repr(0.5 * mass * radius * radius))
 
@@ -140,7 +143,10 @@ def _part(body, tag: str):
 
 
 def _complete_contacts(root, contacts: list) -> None:
-    """Give contacts a normal of two numbers; where no contact has them, a start of zero and the start as impulse."""
+    """Complete the contacts, in place: their normals become two numbers, and missing starts and impulses are added.
+
+    If no contact of the file has a start, all starts are 0. If no contact has an impulse, its start is used.
+    """
     for contact in contacts:
         normal = contact.find("normal")
         if normal is not None and "normal" in normal.attrib:

@@ -1,4 +1,4 @@
-"""Where results come from: the package's version and commit, the packages below it, the processor."""
+"""Provenance of results: version and commit of the package, versions of other packages, and the processor."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from deep_contact.io.shipped import find
 from deep_contact.state.constants import VERSION
 
 PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotlib")
-"""Packages whose versions are recorded, where they are installed."""
+"""Packages whose versions are recorded if they are installed."""
 
 
 def provenance(*, seed: int | None = None, wall_s: float = 0.0, options: dict | None = None) -> dict:
-    """Version, commit, Python, packages, processor, seed and wall time in seconds, as results files record them.
+    """Return the provenance of results: version, commit, Python, packages, processor, seed and wall time, s.
 
-    options: those of the run; with them the record has "inputs" too: path of each file that they name -> its digest.
-    The name of the machine is not recorded. No package is imported to learn its version.
+    options: options of the run, or None. If they are passed, the record also has "inputs": path -> digest of each file
+    that they name. The name of the machine is not recorded. No package is imported to learn its version.
     """
     record = {
         "version": VERSION,
@@ -37,13 +37,14 @@ def provenance(*, seed: int | None = None, wall_s: float = 0.0, options: dict | 
 
 
 def commit() -> str:
-    """The 40 digits of the package's commit; "unknown" for an installed package or without git.
+    """Return the 40-digit hash of the package's commit, or "unknown" for an installed package or without git.
 
     "+changes" follows the digits if tracked files differ from the commit. Results under data/reference do not count:
     they are made one after the other, and none depends on another.
     """
     try:
-        # An installed package may lie inside some other project's checkout: only a tracked one has a commit.
+        # An installed package may lie inside the checkout of another project. It is then not tracked there, and this
+        # command raises an error.
         _git("ls-files", "--error-unmatch", "__init__.py")
         digits = _git("rev-parse", "HEAD")
         changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":(top,exclude)data/reference")
@@ -53,10 +54,10 @@ def commit() -> str:
 
 
 def digests(options) -> dict[str, str]:
-    """Path -> SHA-256 of each file that a run's options name, such as model files.
+    """Return path -> SHA-256 of each file that the options of a run name, such as model files.
 
-    options: dicts, lists and values, nested. A text is a path where a file of that name exists here or in the package's
-    folders.
+    options: dicts, lists and values, nested. A text counts as a path if it ends in a suffix such as ".h5", and if
+    `shipped.find` finds this file.
     """
     if isinstance(options, dict):
         options = list(options.values())
@@ -75,7 +76,7 @@ def _git(*arguments: str) -> str:
 
 
 def package_versions() -> dict[str, str]:
-    """Version of each installed package of `PACKAGES`, without importing any."""
+    """Return package -> version for each installed package of `PACKAGES`, without importing any."""
     versions = {}
     for distribution in (*PACKAGES, "tensorflow-cpu"):  # TensorFlow is published under both names
         with suppress(metadata.PackageNotFoundError):
@@ -84,7 +85,7 @@ def package_versions() -> dict[str, str]:
 
 
 def processor() -> str:
-    """Model of the processor and number of cores, "AMD EPYC 9R14, 2 cores"."""
+    """Return the model of the processor and its number of cores, such as "AMD EPYC 9R14, 2 cores"."""
     model = platform.processor() or platform.machine() or "unknown"
     with suppress(OSError):
         info = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")

@@ -1,6 +1,8 @@
-"""The scripts of the figures and tables: their list, and the numbers that name them.
+"""Finds the scripts of the figures and tables by their numbers.
 
-Nothing is imported from them, so that listing them is fast.
+No script is imported, so that listing them is fast.
+
+Tests: tests/test_command_line.py, tests/documents/test_reference.py
 """
 
 from __future__ import annotations
@@ -12,9 +14,9 @@ _SCRIPT = re.compile(r"((figure|table)_([0-9]+)_([0-9]+))(_\w+)?\.py")
 
 
 def find(folder: Path) -> dict[str, Path]:
-    """Number -> script, "3.7" for a figure and "T5.1" for a table, figures of a number before tables.
+    """Return number -> script for the scripts in a folder, such as "3.7" for a figure and "T5.1" for a table.
 
-    Raises ValueError for two scripts of one number.
+    A figure comes before the table of the same number. Raises ValueError if two scripts have one number.
     """
     matches = [(match, path) for path in folder.glob("*_*.py") if (match := _SCRIPT.fullmatch(path.name))]
     matches.sort(key=lambda one: (int(one[0][3]), int(one[0][4]), one[0][2] == "table", one[1].name))
@@ -28,12 +30,15 @@ def find(folder: Path) -> dict[str, Path]:
 
 
 def normalized(name: str) -> str:
-    """The number that `find` uses for "3.7", "Figure 3.7", "T5.1", "T 5.1" or "table 5.1"."""
+    """Return the number in the form of `find`, for "3.7", "Figure 3.7", "T5.1", "T 5.1" or "table 5.1"."""
     return re.sub(r"\s", "", name).lower().removeprefix("figure").replace("table", "t").upper()
 
 
 def choose(scripts: dict[str, Path], wanted: list[str]) -> dict[str, Path]:
-    """The scripts of the wanted numbers, in the order of `find`. Raises ValueError naming all for an unknown number."""
+    """Return number -> script for the wanted numbers, in the order of `find`.
+
+    Raises ValueError, which lists all numbers, for an unknown one.
+    """
     from deep_contact.state.validation import one_of
 
     numbers = {one_of("number", normalized(name), scripts) for name in wanted}
@@ -41,11 +46,11 @@ def choose(scripts: dict[str, Path], wanted: list[str]) -> dict[str, Path]:
 
 
 def stem(script: Path) -> str:
-    """The name of the files that a script writes: figure_3_7 for scripts/figure_3_7_baselines.py."""
+    """Return the stem of the files that a script writes: "figure_3_7" for scripts/figure_3_7_baselines.py."""
     return _SCRIPT.fullmatch(script.name)[1]
 
 
 def summary(script: Path) -> str:
-    """The subject of a script, from the first line of its docstring, in which it follows the command."""
+    """Return the subject of a script: the text after the command and ": " in the first line of its docstring."""
     with script.open(encoding="utf-8") as file:
         return file.readline().strip().strip('"').partition(": ")[2]

@@ -1,4 +1,7 @@
-"""Files that come with the package: `models/`, `scripts/`, `data/`. In a wheel they lie inside it, else beside it."""
+"""Paths of files that come with the package, in the folders `models/`, `scripts/` and `data/`.
+
+A wheel has these folders inside the package, the source repository beside it.
+"""
 
 from __future__ import annotations
 
@@ -8,16 +11,16 @@ from pathlib import Path
 _PACKAGE = Path(__file__).resolve().parents[1]
 
 ROOT = _PACKAGE if (_PACKAGE / "models").is_dir() else _PACKAGE.parent
-"""The folder of `models/`, `scripts/` and `data/`. `setup.py` says which of their files a wheel has."""
+"""The folder that contains `models/`, `scripts/` and `data/`. `setup.py` selects which of their files a wheel has."""
 
 _STATE = ".xml.gz"
 
 
 def sample_file(name: str = "impact_154") -> Path:
-    """The path of a state of `data/sample`, for `dc.read_state`: 71 circles of the thesis's scene.
+    """Return the path of a sample state for `dc.read_state`: a step of the thesis's scene with 71 circles.
 
-    name: "impact_154", "settling_349", "rest_362", …: the phase of the fall, and the step. Raises ValueError naming
-    the samples, and FileNotFoundError where none came with the package.
+    name: the phase of the fall and the number of the step, as in "impact_154", "settling_349" or "rest_362". Raises
+    ValueError, which lists the samples, for an unknown name, and FileNotFoundError if the package came without samples.
     """
     from deep_contact.state.validation import one_of
 
@@ -25,7 +28,7 @@ def sample_file(name: str = "impact_154") -> Path:
 
 
 def sample_names() -> list[str]:
-    """The names that `sample_file` knows, ordered by step. Raises FileNotFoundError where there are none."""
+    """Return the names that `sample_file` accepts, ordered by step. Raises FileNotFoundError if there are none."""
     folder = ROOT / "data" / "sample"
     names = [path.name.removesuffix(_STATE) for path in folder.glob(f"*{_STATE}")]
     if not names:
@@ -34,9 +37,10 @@ def sample_names() -> list[str]:
 
 
 def find(path: str | os.PathLike) -> Path:
-    """A file by its path from the current folder, or else from `ROOT`, such as "data/reference/run_tradeoff.json".
+    """Return the path of a file, relative to the current folder or else to `ROOT`.
 
-    Raises FileNotFoundError naming the path where neither has it.
+    path: for example "data/reference/run_tradeoff.json". Raises FileNotFoundError, which names the path, if neither
+    folder has the file.
     """
     for place in (Path(path), ROOT / path):
         if place.is_file():

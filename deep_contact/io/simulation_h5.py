@@ -1,13 +1,16 @@
 """Simulations as HDF5 files: `write_simulation`, `read_simulation`, `simulation_info`.
 
-A simulation is one file, `<folder>/sim_0000.h5`. It holds the states exactly (float64), so that any image can be made
-of them later, for any grid, kernel and set of channels. data/README.md has the meaning of the attributes and arrays
-(`_ARRAYS`). Where the world has them, there are also the attributes scales (8,), the fields of `ContactScales`,
-segments (4 S,), surface_speeds (S,) and segment_velocities (4 S,). Where segments move, an array has their places in
-each state. Where kinematics or external forces do work on the circles, an array has this work until each state.
+One file, `<folder>/sim_0000.h5`, stores one simulation. It stores the states exactly (float64), so that network images
+for any grid, kernel and set of channels can be made of them later. data/README.md has the meaning of the attributes and
+arrays (`_ARRAYS`). Four attributes are optional, and stored only if the world has them: scales, (8,), the fields of
+`ContactScales`; segments, (4 S,); surface_speeds, (S,); segment_velocities, (4 S,). Two arrays are optional: the
+positions of the segments in each state, if segments move; and the work of kinematics and external forces until each
+state, if there are any.
 
-`digest` is the SHA-256 of the attributes and the unpacked arrays in a fixed order, the same for every compression. It
-is checked when the arrays are read. Every fault of a file is a `DataFileError`.
+`digest` is the SHA-256 of the attributes and the uncompressed arrays in a fixed order. It does not depend on the
+compression, and is checked when the arrays are read. Every fault of a file raises a `DataFileError`.
+
+Tests: tests/cnn/test_dataset.py, tests/io/test_hostile.py, tests/io/test_segments_files.py
 """
 
 from __future__ import annotations
@@ -40,7 +43,7 @@ FORMAT = "deep-contact simulation"
 VERSION = 1
 
 MAX_BYTES = 2**31
-"""Most bytes of a simulation in a file, unpacked."""
+"""Largest size of a simulation in a file, uncompressed, bytes."""
 
 _MAX_TEXT = 2**16
 _ARRAYS = {
@@ -66,10 +69,12 @@ _ARRAYS = {
     "normal_start": ("<f8", "M"),
     "tangent_start": ("<f8", "M"),
 }
-"""Array -> type in the file, and dimensions: T states, E = T + 1, n circles, M contacts in all, 2 for x and y."""
+"""Array -> type in the file, and dimensions: T states, E = T + 1, n circles, M contacts of all states together, 2 for x
+and y."""
 
 _RARE = {"segment": ("<f8", "TS4"), "work": ("<f8", "T")}
-"""Optional arrays, as in `_ARRAYS`: the ends of S moving segments, m; the work until each state, J."""
+"""Optional arrays, in the form of `_ARRAYS`: the ends of all S segments in each state, m, stored if segments move; the
+work of kinematics and external forces until each state, J."""
 
 _BODIES, _CONTACTS = tuple(_ARRAYS)[8:12], tuple(_ARRAYS)[12:]
 _TEXTS = ("format", "name", "solver", "seed", "options", "digest")
@@ -78,14 +83,14 @@ _OPTIONAL = ("scales", "segments", "surface_speeds", "segment_velocities")
 _NUMBERS = {"version": "<i8"} | dict.fromkeys(("dt", *_WORLD, *_OPTIONAL), "<f8")
 
 _SHARED = ("name", "world", "dt", "solver")
-"""Fields that all states of a simulation have in common."""
+"""Fields that are equal in all states of a simulation."""
 
 _MOST_SEGMENTS = 2000
-"""Most segments in a file: an attribute of HDF5 holds at most 64 KiB."""
+"""Largest number of segments in a file: an attribute of HDF5 has at most 64 KiB."""
 
 
 class DataFileError(FileError):
-    """A file of states cannot be read; the message names file, field and value."""
+    """Error: a file of states cannot be read. The message names file, field and value."""
 
 
 @by_value
@@ -93,7 +98,7 @@ class DataFileError(FileError):
 class StoredSimulation:
     """The states of one simulation, in memory.
 
-    header: the attributes of the file (`seed`, `options` and `solver` decoded). arrays: its arrays, by name.
+    header: the attributes of the file, with `seed`, `options` and `solver` decoded. arrays: name -> array.
     """
 
     header: dict
@@ -101,7 +106,7 @@ class StoredSimulation:
 
     @cached_property
     def digest(self) -> str:
-        """SHA-256 of header and arrays, hexadecimal; computed on first use."""
+        """SHA-256 of header and arrays, hexadecimal. It is computed on first use."""
         return _digest(_attributes(self.header), self.arrays)
 
     @property
@@ -111,11 +116,11 @@ class StoredSimulation:
 
     @property
     def bytes(self) -> int:
-        """Memory of the arrays, bytes."""
+        """Size of the arrays in memory, bytes."""
         return sum(array.nbytes for array in self.arrays.values())
 
     def state(self, index: int) -> StateWithContacts:
-        """State `index`, 0 … T − 1, in arrays of its own; equal to the written one to the last bit."""
+        """Return state `index`, 0 … T − 1, equal to the written state to the last bit. Its arrays are copies."""
         if not 0 <= index < self.count:
             raise IndexError(f"index: expected one from 0 to {self.count - 1}, got {index}")
         a, of_contacts = self.arrays, slice(*self.arrays["contact_offset"][index : index + 2])
@@ -136,12 +141,13 @@ class StoredSimulation:
 def pack_simulation(
     states: Iterable[State], *, sweeps=None, theta=None, work=None, seed=None, options=None
 ) -> StoredSimulation:
-    """States of one simulation as arrays.
+    """Return states of one simulation as arrays, a `StoredSimulation`.
 
-    states: with contacts, all of one name, world, dt and solver and of the same circles; segments may have moved.
-    sweeps, theta: number of sweeps and last θ, N·s, of each state, (T,); None is stored as -1 and NaN. work: work until
-    each state, (T,), J, or None. seed, options: those that made the simulation, anything that JSON holds.
-    Raises ValueError naming the state and the field.
+    states: states with contacts, which have equal name, world, dt and solver, and the same circles. Only the positions
+    of moving segments may differ. sweeps, theta: number of sweeps, and θ of the last sweep, N·s, of each state, (T,).
+    Without them, −1 and NaN are stored. work: work of kinematics and external forces until each state, (T,), J, or
+    None. seed, options: seed and options with which the simulation was made, any values that JSON can store. Raises
+    ValueError, which names the state and the field.
     """
     states = [check_state(state) for state in states]
     expect(states, "states: expected at least one state, got none")
@@ -189,10 +195,10 @@ def pack_simulation(
 
 
 def write_simulation(path, states: Iterable[State], *, compression="gzip", **recorded) -> str:
-    """Write states of one simulation to an HDF5 file, whole or not at all. Returns the digest of its contents.
+    """Write states of one simulation to an HDF5 file in one move. Returns the digest of its contents.
 
-    recorded: arguments of `pack_simulation`. compression: "gzip" (lossless, every HDF5 reader has it), "lzf" or None.
-    The same arguments give the same bytes. Raises ValueError naming the state and the field.
+    compression: "gzip" (lossless, known to every HDF5 reader), "lzf" or None. recorded: other arguments of
+    `pack_simulation`. Equal arguments give equal bytes. Raises ValueError, which names the state and the field.
     """
     simulation = pack_simulation(states, **recorded)
     write_bytes(path, simulation_file(simulation, compression=compression))
@@ -200,7 +206,7 @@ def write_simulation(path, states: Iterable[State], *, compression="gzip", **rec
 
 
 def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> bytes:
-    """The bytes of a simulation's file. compression and errors as for `write_simulation`."""
+    """Return the bytes of a simulation's file. compression, and errors, are those of `write_simulation`."""
     one_of("compression", compression, ("gzip", "lzf", None))
     size, segments = simulation.bytes, len(simulation.header["world"].segments)
     expect(size <= MAX_BYTES, f"states: expected at most {MAX_BYTES} bytes a file, got {size}")
@@ -209,7 +215,8 @@ def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> byte
     with h5py.File(buffer, "w") as file:
         for name, value in (_attributes(simulation.header) | {"digest": simulation.digest}).items():
             if isinstance(value, str):
-                # Of fixed length, which a reader knows before it reads the text; HDF5 has no text of length 0.
+                # A text of fixed length: a reader knows its length before it reads the text. HDF5 has no text of length
+                # 0.
                 file.attrs.create(name, value.encode(), dtype=f"S{max(1, len(value.encode()))}")
             else:
                 file.attrs.create(name, value, dtype=_NUMBERS[name])
@@ -219,16 +226,17 @@ def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> byte
                 rows = max(1, 2**18 // max(1, array.nbytes // array.shape[0]))
                 options = {"chunks": (min(rows, array.shape[0]), *array.shape[1:]), "shuffle": True}
                 options |= {"compression": compression, "compression_opts": 1 if compression == "gzip" else None}
-            # Flushed now: what holds a dataset open, as profilers do, would put its bytes behind those of the next.
+            # Flushed at once. Otherwise, if a profiler holds a reference to a dataset, its bytes are written after
+            # those of the next dataset.
             file.create_dataset(name, data=array.astype((_ARRAYS | _RARE)[name][0]), **options).flush()
     return buffer.getvalue()
 
 
 def read_simulation(path) -> StoredSimulation:
-    """The simulation in a file, checked as a whole.
+    """Read the simulation in a file, and check all of it.
 
-    Raises DataFileError naming file, field and value where it is truncated, foreign or altered; OSError where the file
-    cannot be opened.
+    Raises DataFileError, which names file, field and value, if the file is truncated, altered or of another kind.
+    Raises OSError if it cannot be opened.
     """
     with hdf5.opened(path, DataFileError) as file:
         attributes, datasets = _read_attributes(file), _datasets(file)
@@ -237,16 +245,20 @@ def read_simulation(path) -> StoredSimulation:
         arrays |= {name: arrays[name].astype(np.int64) for name in ("body_a", "body_b")}
         _check_arrays(arrays, len(header["world"].segments))
         digest = attributes.pop("digest")
-        # From the attributes as the file has them: the header may hold options that are newer than the file.
+        # The digest of the attributes as they are stored. The header may also have options of the solver that are newer
+        # than the file.
         actual = _digest(attributes, arrays)
         expect(actual == digest, f"digest: expected that of the contents, {actual}, got {digest}: altered or damaged")
     simulation = StoredSimulation(header=header, arrays=arrays)
-    vars(simulation)["digest"] = digest  # known already
+    vars(simulation)["digest"] = digest  # fills the cached property
     return simulation
 
 
 class SimulationInfo(NamedTuple):
-    """Header, digest and number of states of a file, without its arrays. Only `read_simulation` checks the digest."""
+    """Header, digest and number of states of a file, without its arrays.
+
+    The digest is not checked; only `read_simulation` checks it.
+    """
 
     header: dict
     digest: str
@@ -254,7 +266,7 @@ class SimulationInfo(NamedTuple):
 
 
 def simulation_info(path) -> SimulationInfo:
-    """The header of a file. Errors as for `read_simulation`."""
+    """Return header, digest and number of states of a file. Errors are those of `read_simulation`."""
     with hdf5.opened(path, DataFileError) as file:
         attributes, datasets = _read_attributes(file), _datasets(file)
         return SimulationInfo(_header(attributes), attributes["digest"], datasets["step"].size)
@@ -273,7 +285,7 @@ def _per_state(name: str, values, count: int, dtype, missing) -> np.ndarray:
 
 
 def _json_value(name: str, value):
-    """`value` as JSON returns it, so that it is the same before it is written and after it is read."""
+    """Return `value` as JSON returns it after writing and reading. Raises ValueError if JSON cannot store it."""
     try:
         text = json.dumps(value, allow_nan=False)
     except (TypeError, ValueError) as error:
@@ -283,7 +295,10 @@ def _json_value(name: str, value):
 
 
 def _attributes(header: dict) -> dict:
-    """The attributes of a file but its digest. Optional ones are there only where set, so that older digests stay."""
+    """Return the attributes of a file, without its digest.
+
+    An optional attribute is left out if it is not set, so that the digests of older files stay valid.
+    """
     solver, world = header["solver"], header["world"]
     settings = None if solver is None else {"method": type(solver).__name__, **asdict(solver)}
     if solver is not None and header.get("preset") is not None:
@@ -327,7 +342,7 @@ def _read_attributes(file: h5py.File) -> dict:
 
 
 def _header(attributes: dict) -> dict:
-    """The header that the attributes of a file describe. Raises ValueError naming the attribute."""
+    """Return the header that the attributes of a file describe. Raises ValueError, which names the attribute."""
     for name, expected in (("format", FORMAT), ("version", VERSION)):
         expect(attributes[name] == expected, f"{name}: expected {expected!r}, got {attributes[name]!r}")
     header = {"name": attributes["name"], "dt": number("dt", attributes["dt"], above=0)}
@@ -357,7 +372,10 @@ def _header(attributes: dict) -> dict:
 
 
 def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
-    """The arrays of a file before they are read. Raises ValueError unless their types and shapes fit each other."""
+    """Return the arrays of a file before they are read.
+
+    Raises ValueError unless their types and shapes fit each other.
+    """
     known = _ARRAYS | {name: kind for name, kind in _RARE.items() if name in file}
     strange = sorted(set(file) ^ set(known))
     expect(not strange, f"arrays: expected {', '.join(sorted(_ARRAYS))}, missing or unknown: {strange}")
@@ -374,7 +392,10 @@ def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
 
 
 def _check_arrays(arrays: dict, segments: int) -> None:
-    """Raise ValueError unless all states keep the rules of `check_state`. segments: number of the world's segments."""
+    """Raise ValueError unless all states satisfy the rules of `check_state`.
+
+    segments: number of the world's segments.
+    """
 
     def refuse(name, bad, expected):
         refuse_where(bad, name, arrays[name], expected)

@@ -1,8 +1,8 @@
 """States as XML files, one file a step (thesis, section 5.2.1): `read_state` and `write_state`.
 
-data/README.md describes the canonical form, in which `write_state` writes. The dialects of the thesis's authors are
-read as well (`old_dialects`). Every fault of a file is a `StateFileError` that names file, line, element and value.
-`xml_tree` says which files are refused before they are parsed.
+`write_state` writes the canonical form, which data/README.md describes. `read_state` also reads the dialects of the
+thesis's authors (`old_dialects`). Every fault of a file raises a `StateFileError`, which names file, line, element and
+value. `xml_tree` lists the files that are refused before they are parsed.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from deep_contact.state.validation import integer
 from deep_contact.state.world import World
 
 _INERTIA_TOLERANCE = 1e-3
-"""Largest relative difference between a stored inertia and m r²/2. Old files hold float32."""
+"""Largest relative difference between a stored inertia and m r²/2. Old files store float32."""
 
 _SETTINGS = ("step", "gravity_x", "gravity_y", "friction", "restitution", "solved")
 _PARTS = ("solver", "scales", "bodies", "segments", "contacts")
@@ -45,18 +45,18 @@ _CONTACT_TEXT = xml_tree.text_of('contact index="%d" master="%d" slave="%d" sepa
 
 
 def read_state(path) -> State:
-    """The state in a file `….xml` or `….xml.gz`, in canonical form or an older dialect.
+    """Read the state in a file `….xml` or `….xml.gz`, in canonical form or an older dialect.
 
-    Raises StateFileError naming file, line, element and value, and OSError where the file cannot be opened.
+    Raises StateFileError, which names file, line, element and value. Raises OSError if the file cannot be opened.
     """
     return parse_state(read_bytes(path, xml_tree.MAX_BYTES, StateFileError), path)
 
 
 def write_state(path, state: State) -> None:
-    """Write a state to `….xml`, or compressed to `….xml.gz`; the same state gives the same bytes.
+    """Write a state to a file `….xml`, or compressed to `….xml.gz`. Equal states give equal bytes.
 
-    The folder is made if it is missing. The file appears whole or not at all. Raises StateFileError where the name has
-    another ending, or the state is not valid or cannot be stored; OSError where the file cannot be written.
+    The folder is made if it is missing. The file is written in one move. Raises StateFileError if the name has another
+    ending, or if the state is not valid or cannot be stored. Raises OSError if the file cannot be written.
     """
     path = Path(path)
     if not path.name.endswith((".xml", ".xml.gz")):
@@ -67,13 +67,16 @@ def write_state(path, state: State) -> None:
     except ValueError as error:
         raise StateFileError(f"{path}: not written: {error}") from None
     if path.suffix == ".gz":
-        # Neither time nor name go into gzip's header, so that the same state gives the same file.
+        # The gzip header has neither time nor name, so that equal states give equal files.
         data = gzip.compress(data, compresslevel=6, mtime=0)
     write_bytes(path, data)
 
 
 def format_state(state: State) -> bytes:
-    """A state in canonical form, UTF-8. Raises ValueError naming the field that cannot be stored."""
+    """Return a state in canonical form as UTF-8 bytes.
+
+    Raises ValueError, which names the field that cannot be stored.
+    """
     state = check_state(state)
     world, n = state.world, state.bodies.count
     numbers = {"time": float(state.time), "step": integer("step", state.step, most=10**18 - 1), "dt": float(state.dt)}
@@ -94,9 +97,9 @@ def format_state(state: State) -> bytes:
 
 
 def parse_state(data: bytes, source) -> State:
-    """The state in the bytes of an unpacked XML file. source: path or name of the file, for messages.
+    """Return the state in the bytes of an uncompressed XML file. source: path or name of the file, for messages.
 
-    Raises StateFileError naming source, line, element and value.
+    Raises StateFileError, which names source, line, element and value.
     """
     try:
         return _read_tree(xml_tree.parse_tree(data), str(source))
@@ -106,7 +109,8 @@ def parse_state(data: bytes, source) -> State:
 
 def _read_tree(root, source: str) -> State:
     expect(root.tag in ("configuration", "Configuration"), root, "expected the root <configuration>", root.tag)
-    # An old file has none of our settings, a canonical one has all: a damaged canonical file must not pass for old.
+    # A file counts as old only if it has none of the canonical settings. A damaged canonical file, which lacks some of
+    # them, is not taken for an old one.
     if is_old := not any(name in root.attrib for name in _SETTINGS):
         modernise(root, source)
     parts = xml_tree.children(root, _PARTS)
@@ -129,7 +133,7 @@ def _read_tree(root, source: str) -> State:
 
 
 def _read_settings(root, parts: dict) -> tuple[dict, dict]:
-    """Fields of the state, and of its world."""
+    """Return (fields of the state, fields of its world)."""
     xml_tree.refuse_attributes(root, {"name", "time", "dt", *_SETTINGS})
     solved = read_text(root, "solved")
     expect(solved in ("true", "false"), root, "solved: expected true or false", solved)
@@ -156,7 +160,10 @@ def _read_solver(element):
 
 
 def _option_value(text: str):
-    """The None, bool, int, float or str that a text stands for. `_option_text` checks that the way back is exact."""
+    """Return the value of a solver's option, None, bool, int, float or str, from its text.
+
+    `_option_text` writes the text, and checks that this function returns the original value.
+    """
     if text in ("none", "true", "false"):
         return {"none": None, "true": True, "false": False}[text]
     if xml_tree.INTEGER.fullmatch(text):
@@ -166,7 +173,10 @@ def _option_value(text: str):
 
 
 def _read_segments(elements, rank: dict) -> dict:
-    """Segments of a world and their speeds, by index. Adds the indices to `rank`, behind circles and box, in place."""
+    """Return segments, surface speeds and velocities of the segments, in the order of their indices.
+
+    rank: index of a body in the file -> index in memory. The segments are added to it, after circles and box.
+    """
     segments, speeds, velocities, start = [], [], [], len(rank)
     for index, segment in sorted(xml_tree.by_index(elements).items()):
         xml_tree.refuse_attributes(segment, {"index", *_ENDS, "speed", *_VELOCITIES})
@@ -183,9 +193,10 @@ def _read_segments(elements, rank: dict) -> dict:
 
 
 def _number_bodies(bodies, is_old: bool):
-    """Circles in the order of their indices, the box or None, {index in the file: index in memory}.
+    """Return (elements of the circles in the order of their indices, element of the box or None, rank).
 
-    A fixed body is the box, unless its shape is a circle. is_old: whether the file is old: its fixed body is the box.
+    rank: index of a body in the file -> index in memory. A fixed body is the box, unless its shape is a circle. is_old:
+    whether the file has an old dialect, in which the fixed body always is the box.
     """
     free, fixed = {}, {}
     for index, body in sorted(xml_tree.by_index(bodies).items()):
@@ -207,12 +218,12 @@ def _read_bodies(rows: XmlRows) -> Bodies:
     mass, radius = rows.numbers("mass", "value"), rows.numbers("shape", "radius")
     is_fixed = np.array([element.get("type") == "fixed" for element in rows.elements], bool)
     rows.refuse((mass <= 0) & ~is_fixed, "mass", "value", "a mass > 0")
-    mass[is_fixed] = math.inf  # as the box; in files both have mass 0
+    mass[is_fixed] = math.inf  # in files, fixed circles and the box have mass 0
     rows.refuse(np.array([text != "circle" for text in rows.texts("shape", "value")]), "shape", "value", "circle")
     rows.refuse(radius <= 0, "shape", "radius", "a number > 0")
     motion = [rows.numbers(tag, BODY[tag]) for tag in ("position", "velocity", "orientation", "spin")]
     bodies = Bodies(*motion, mass, radius)
-    # m r²/2 of a disc may overflow where m and r do not; the file then has "inf".
+    # m r²/2 may overflow although m and r do not. The file then has "inf".
     texts = rows.texts("inertia", "value")
     inertia = np.array([math.inf if text == "inf" else xml_tree.to_float(text) for text in texts])
     with np.errstate(all="ignore"):
@@ -224,7 +235,7 @@ def _read_bodies(rows: XmlRows) -> Bodies:
 
 
 def _read_box(root, body, bodies: Bodies, is_old: bool) -> tuple:
-    """The box, (x_min, y_min, x_max, y_max), m."""
+    """Return the box, (x_min, y_min, x_max, y_max), m, from its element. body: the element, or None."""
     tags = BODY | {"shape": "value"}
     parts = {} if body is None else xml_tree.children(body, tags)
     xml_tree.refuse_attributes_of(parts, tags)
@@ -263,7 +274,7 @@ def _read_contacts(rows: XmlRows, bodies: Bodies, box, rank: dict, is_old: bool)
         return no_contacts()
     n = bodies.count
     first, second = _read_pairs(rows.elements, rank)
-    # Box2D puts edges first, so old files have the box as master, its normal pointing at the circle.
+    # In old files the box is the master, as in Box2D, and its normal points to the circle.
     a, b = np.minimum(first, second), np.maximum(first, second)
     for i in np.flatnonzero(a >= n)[:1]:
         raise fault(rows.elements[i], "master, slave: expected a circle among them, got none")
@@ -287,7 +298,7 @@ def _read_contacts(rows: XmlRows, bodies: Bodies, box, rank: dict, is_old: bool)
 
 
 def _read_pairs(elements, rank: dict) -> np.ndarray:
-    """Indices in memory of master and slave, (2, m); n stands for the box."""
+    """Return the indices in memory of master and slave of each contact, (2, m). The index of the box is n."""
     pairs = []
     for element in xml_tree.by_index(elements).values():
         xml_tree.refuse_attributes(element, {"index", "master", "slave", "separation"})
@@ -299,14 +310,17 @@ def _read_pairs(elements, rank: dict) -> np.ndarray:
 
 
 def _nearest_wall(normal: np.ndarray) -> np.ndarray:
-    """Walls (BOTTOM … LEFT) nearest in direction to normals (m, 2) from circle to wall."""
+    """Return the wall, BOTTOM … LEFT, whose normal is closest in direction to each of these normals.
+
+    normal: from circle to wall, (m, 2).
+    """
     return np.argmax(normal @ WALL_NORMALS.T, axis=1)
 
 
 def _separations(a, b, bodies: Bodies, box) -> np.ndarray:
-    """Gap between the surfaces of the pairs, m. As in the engine, walls begin a skin before the box.
+    """Return the gap between the surfaces of each pair, (m,), m. The surface of a wall lies one skin inside the box.
 
-    Only old files, which have neither scales nor segments, need it; the canonical form stores separations.
+    Only old files need this function: they store no separations, and have neither scales nor segments.
     """
     position, radius, n = bodies.position, bodies.radius, bodies.count
     other, x, y = np.minimum(b, n - 1), *position[a].T

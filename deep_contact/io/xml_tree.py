@@ -1,8 +1,11 @@
-"""XML files as trees of elements, read with limits, and with errors that name the line, the element and the value.
+"""XML files as trees of elements, with limits of size and errors that name the line, the element and the value.
 
-A DOCTYPE is refused, so there are no entities. Files beyond `MAX_BYTES`, `MAX_TAGS` or `MAX_ATTRIBUTES` (about 35,000
-circles) are refused before they are parsed, compressed ones while they are unpacked. libxml2 counts lines exactly up to
-65,535; beyond, the line may be one off. Its RelaxNG names neither attribute nor value, so the form is checked here.
+A file with a DOCTYPE is refused, so there are no entities. A file that exceeds `MAX_BYTES`, `MAX_TAGS` or
+`MAX_ATTRIBUTES` (about 35,000 circles) is refused before it is parsed. A compressed file is refused while it is
+decompressed. libxml2 counts lines exactly up to 65,535; a higher line number may be off by one. This module checks the
+form of files itself, because libxml2's messages from RelaxNG name neither attribute nor value.
+
+Tests: tests/io/test_state_xml.py, tests/io/test_segments_files.py
 """
 
 from __future__ import annotations
@@ -19,13 +22,14 @@ from lxml import etree
 from deep_contact.io.files import FileError
 
 MAX_BYTES = 64 * 2**20
-"""Most bytes of a file that is read or written, unpacked; a compressed file may not have more either."""
+"""Largest size of a file that is read or written, bytes. For a compressed file it holds before and after
+decompression."""
 
 MAX_TAGS = 750_000
-"""Most '<' in a file. With `MAX_ATTRIBUTES` it bounds the memory of the parsed tree to under 1 GB."""
+"""Largest number of '<' in a file. With `MAX_ATTRIBUTES` it limits the memory of the parsed tree to less than 1 GB."""
 
 MAX_ATTRIBUTES = 1_500_000
-"""Most '=' in a file."""
+"""Largest number of '=' in a file."""
 
 _MAX_QUOTED = 80
 INTEGER = re.compile(r"-?[0-9]{1,18}")
@@ -35,11 +39,11 @@ _ENCODING = re.compile(rb"\s*<\?xml[^>]*?\sencoding\s*=\s*[\"'](?!(?i:utf-?8|(?:
 
 
 class StateFileError(FileError):
-    """A file cannot be read, or a state cannot be stored; the message names file, line, element and value."""
+    """Error: a file cannot be read, or a state cannot be stored. The message names file, line, element and value."""
 
 
 def refuse_too_large(data: bytes) -> None:
-    """Raise StateFileError if a file of these bytes is beyond the limits."""
+    """Raise StateFileError if a file of these bytes exceeds the limits."""
     counts = {"bytes": len(data), "'<'": data.count(b"<"), "'='": data.count(b"=")}
     for (what, count), most in zip(counts.items(), (MAX_BYTES, MAX_TAGS, MAX_ATTRIBUTES)):
         if count > most:
@@ -47,7 +51,10 @@ def refuse_too_large(data: bytes) -> None:
 
 
 def parse_tree(data: bytes):
-    """The root element of a file. Messages of this function, and of those below, lack the name of the file."""
+    """Parse the bytes of a file. Returns the root element.
+
+    The messages of this function, and of the functions below, do not name the file.
+    """
     refuse_too_large(data)
     if not data.strip():
         raise StateFileError("line 1: expected an XML file, got an empty one")
@@ -61,8 +68,8 @@ def parse_tree(data: bytes):
     for forbidden in (b"\0", b"<!DOCTYPE", b"<!ENTITY"):
         if forbidden in data:
             raise _fault_at(data, data.index(forbidden), "expected no DOCTYPE, entities or NUL")
-    # The encoding is fixed: no declaration can make the parser see a DOCTYPE where the search above saw none. By
-    # default lxml loads no DTD and refuses deep trees and long texts.
+    # The encoding is fixed, so that no declaration can make the parser see a DOCTYPE where the search above saw none.
+    # By default lxml loads no DTD, and refuses deep trees and long texts.
     options = {"resolve_entities": False, "no_network": True, "collect_ids": False}
     parser = etree.XMLParser(encoding="utf-8", remove_comments=True, remove_pis=True, **options)
     try:
@@ -78,7 +85,9 @@ def parse_tree(data: bytes):
 
 
 def fault(element, message: str, value=None) -> StateFileError:
-    """The error about an element, naming its line and the body or contact that it is, or belongs to."""
+    """Return the error about an element. Its message names the line, and the body or contact to which the element
+    belongs.
+    """
     owner, got = "", "" if value is None else f", got {quote(value)}"
     for each in (element.getparent(), element):
         if each is not None and each.tag in ("body", "contact") and "index" in each.attrib:
@@ -87,19 +96,22 @@ def fault(element, message: str, value=None) -> StateFileError:
 
 
 def expect(condition, element, message: str, value=None) -> None:
-    """Raise `fault` unless the condition holds."""
+    """Raise `fault(element, message, value)` unless the condition is true."""
     if not condition:
         raise fault(element, message, value)
 
 
 def _fault_at(data: bytes, start: int, message: str, end: int | None = None) -> StateFileError:
-    """The error about the bytes from `start`, quoting them up to `end`."""
+    """Return the error about the bytes from `start` on.
+
+    Its message names the line, and quotes the bytes up to `end`.
+    """
     line = data.count(b"\n", 0, start) + 1
     return StateFileError(f"line {line}: {message}, got {quote(data[start:end])}")
 
 
 def quote(value) -> str:
-    """A text of a file in quotes, cut to a length that a message can show."""
+    """Return a text of a file in quotes, shortened to a length that a message can show."""
     if isinstance(value, bytes):
         value = value[: 4 * _MAX_QUOTED].decode("utf-8", "backslashreplace")
     return repr(value if len(value) <= _MAX_QUOTED else value[:_MAX_QUOTED] + "…")
@@ -109,21 +121,27 @@ def quote(value) -> str:
 
 
 def refuse_attributes(element, known) -> None:
-    """Raise StateFileError for the first attribute that is not known."""
-    for name in element.keys():  # not items(), which looks up every value from the first attribute on
+    """Raise StateFileError for the first attribute of an element that is not in `known`."""
+    for name in element.keys():  # not items(), which searches all attributes for every value
         if name not in known:
             message = f"{name[:_MAX_QUOTED]}: no such attribute, expected {', '.join(sorted(known))}"
             raise fault(element, message, element.get(name))
 
 
 def refuse_attributes_of(parts: dict, tags: dict[str, str]) -> None:
-    """Raise StateFileError for the first attribute of `children` that is not among those of its tag."""
+    """Raise StateFileError for the first attribute that is not allowed for its element.
+
+    parts: tag -> element, from `children`. tags: tag -> its attributes, such as "x y".
+    """
     for tag, child in parts.items():
         refuse_attributes(child, tags[tag].split())
 
 
 def children(element, tags) -> dict:
-    """The children of an element by tag, each of `tags` at most once."""
+    """Return tag -> child of an element.
+
+    Raises StateFileError for a tag that is not in `tags`, or that occurs twice.
+    """
     parts = {}
     for child in element:
         if child.tag not in tags:
@@ -134,11 +152,11 @@ def children(element, tags) -> dict:
 
 
 def elements_of(container, tag: str, attributes=("count",)) -> list:
-    """The children of a container, which are all of one kind; none where there is no container."""
+    """Return the children of a container, which all need to have one tag. Without a container there are none."""
     if container is None:
         return []
     refuse_attributes(container, attributes)
-    count = container.get("count", str(len(container)))  # a claim to be checked, never to be believed
+    count = container.get("count", str(len(container)))  # a claim of the file, which is checked
     expect(count == str(len(container)), container, f"count: expected {len(container)}, as there are", count)
     for child in container:
         expect(child.tag == tag, child, f"expected a <{tag}> here", child.tag)
@@ -146,7 +164,7 @@ def elements_of(container, tag: str, attributes=("count",)) -> list:
 
 
 def by_index(elements) -> dict:
-    """Index -> element, by the attribute `index`. Raises StateFileError for an index that occurs twice."""
+    """Return index -> element, by the attribute `index`. Raises StateFileError if an index occurs twice."""
     numbered = {}
     for element in elements:
         index = read_integer(element, "index")
@@ -156,7 +174,7 @@ def by_index(elements) -> dict:
 
 
 class XmlRows:
-    """Elements of one kind with their children by tag, read by columns.
+    """Elements of one kind as rows, whose children are read column by column.
 
     tags: tag of a child -> its attributes, such as "x y". Other tags and attributes are refused.
     """
@@ -168,13 +186,15 @@ class XmlRows:
             refuse_attributes_of(parts, tags)
 
     def texts(self, tag: str, name: str) -> list[str]:
-        """An attribute of the child `tag` of every row."""
+        """Return one attribute of the child `tag` of every row, as texts."""
         for row, parts in zip(self.elements, self.parts):
             expect(tag in parts, row, f"element <{tag}> is missing")
         return [read_text(parts[tag], name) for parts in self.parts]
 
     def numbers(self, tag: str, names: str) -> np.ndarray:
-        """Finite float64: (rows,) of one attribute, or (rows, k) of several, such as "x y"."""
+        """Return attributes of the child `tag` as finite float64: (rows,) of one attribute, (rows, k) of several, such
+        as "x y".
+        """
         columns = []
         for name in names.split():
             columns.append(np.array([to_float(text) for text in self.texts(tag, name)], dtype=np.float64))
@@ -182,7 +202,9 @@ class XmlRows:
         return columns[0] if len(columns) == 1 else np.column_stack(columns)
 
     def refuse(self, bad: np.ndarray, tag: str, names: str, expected: str) -> None:
-        """Raise StateFileError for the first row that is bad, quoting its texts."""
+        """Raise StateFileError for the first row for which `bad` is true. The message quotes the attributes of its
+        child `tag`.
+        """
         if bad.any():
             element = self.parts[np.argmax(bad)][tag]
             got = ", ".join(element.get(name) for name in names.split())
@@ -190,7 +212,7 @@ class XmlRows:
 
 
 def to_float(text: str) -> float:
-    """The number in a text; NaN if the text is no number, infinite if the number overflows."""
+    """Return the number in a text: NaN if the text is no number, infinity if the number overflows."""
     try:
         return float(text) if _NUMBER_TEXT.fullmatch(text) else math.nan
     except ValueError:
@@ -220,14 +242,19 @@ def read_integer(element, name: str) -> int:
 
 
 def quoted_attribute(name: str, text: str) -> str:
-    """A text in quotes, as an attribute has it. Raises ValueError naming the attribute where XML cannot hold it."""
+    """Return a text in quotes, as an attribute has it. Raises ValueError, which names the attribute, if XML cannot
+    store it.
+    """
     if not isinstance(text, str) or _NOT_XML.search(text):
         raise ValueError(f"{name}: expected text without control characters, got {text!r}")
     return quoteattr(text)
 
 
 def text_of(opening: str, children: dict[str, str], last: str = "") -> str:
-    """The template of an element of a list: its children with their attributes, such as "x y", as numbers."""
+    """Return the template (%-format) of an element: its opening tag, and its children with numbers as attributes.
+
+    opening: tag and attributes of the element. children: tag -> attributes, such as "x y". last: a further line inside.
+    """
     attributes = {tag: " ".join(f'{name}="%r"' for name in names.split()) for tag, names in children.items()}
     lines = [f"<{tag} {texts}/>" for tag, texts in attributes.items()] + ([last] if last else [])
     inner = "".join(f"      {line}\n" for line in lines)
@@ -235,6 +262,9 @@ def text_of(opening: str, children: dict[str, str], last: str = "") -> str:
 
 
 def fill(template: str, rows: int, columns) -> str:
-    """The template once per row. One call for all rows, on Python numbers, is what makes writing fast."""
+    """Return the template once for each row, filled with the row's values.
+
+    One call for all rows, on Python numbers, makes writing fast. columns: values of each placeholder, (rows,) each.
+    """
     lists = [column.tolist() if isinstance(column, np.ndarray) else column for column in columns]
     return template * rows % tuple(itertools.chain.from_iterable(zip(*lists)))

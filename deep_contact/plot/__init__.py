@@ -1,1 +1,1 @@
-"""Pictures, films and pages of states and runs."""
+"""Pictures, films and HTML pages of states and runs."""

@@ -1,4 +1,7 @@
-"""Films of runs: pictures of states with a clock, a scale and a key, as a GIF or an MP4."""
+"""Films of runs as GIF or MP4: pictures of states with the time, a scale, and a key of colours or forces.
+
+Tests: tests/run/test_trajectory.py
+"""
 
 from __future__ import annotations
 
@@ -27,16 +30,19 @@ MARGIN = 8
 """Margin around the box, pixels."""
 
 LINE = 22
-"""Height of a line of the strip below the box, pixels."""
+"""Height of a line of text in the strip below the box, pixels."""
 
 LEAST_STRIP = 112
-"""Width of the narrowest picture that has a strip, pixels."""
+"""Width of the narrowest picture with a strip below the box, pixels."""
 
 
 class Canvas:
-    """Draws states of one world: the longer side of its box has `size` pixels; clock, scale and key stand below it.
+    """Draws states of one world. Called with a state, a canvas returns its picture.
 
-    fastest: speed of the last colour, m/s. strongest: impulse of the widest line, N·s. forces: whether the network of
+    The longer side of the box, with a margin at either end, has `size` pixels. A strip below the box shows the time, a
+    scale and a key.
+
+    strongest: impulse of the widest line, N·s. fastest: speed of the last colour, m/s. forces: whether the network of
     contact forces is drawn in place of the speeds; `strongest` is then a force, N.
     """
 
@@ -44,7 +50,7 @@ class Canvas:
         x_min, y_min, x_max, y_max = world.box
         sides = x_max - x_min, y_max - y_min
         pixel = max(sides) / (size - 2 * MARGIN)
-        # Even sides: films store colours at half the resolution.
+        # Even numbers of pixels, because films store colours at half the resolution.
         width, height = (2 * math.ceil((side / pixel + 2 * MARGIN) / 2) for side in sides)
         lines = 0 if width < LEAST_STRIP else 1 if width >= 3 * LEAST_STRIP else 3
         whole = height + LINE * lines
@@ -70,7 +76,7 @@ class Canvas:
                 _draw_colours(strip, *others[1], fastest)
 
     def __call__(self, state) -> np.ndarray:
-        """The picture of a state, (height, width, 3), uint8."""
+        """Return the picture of a state, (height, width, 3), uint8."""
         self._ax.clear()
         self._draw(self._ax, state, **self._look)
         self._ax.set(**self._place, aspect="auto")
@@ -82,18 +88,24 @@ class Canvas:
 
 
 _LETTERS = {"fontsize": 12 * 72 / plotting.DPI, "va": "center", "family": "DejaVu Sans"}
-"""Letters of 12 pixels."""
+"""Style of letters 12 pixels high."""
 
 
 def _corners(width: int, lines: int) -> list[tuple[float, float]]:
-    """Places (x, y) at which clock, scale and key begin, pixels: in one line, or in three lines from the top."""
+    """Return the places (x, y) at which time, scale and key begin, pixels.
+
+    They lie in one line, or in three lines from the top.
+    """
     if lines == 1:
         return [(share * width + MARGIN, LINE / 2) for share in (0.0, 0.31, 0.62)]
     return [(MARGIN, LINE * (line + 0.5)) for line in (2, 1, 0)]
 
 
 def _draw_scale(strip, x: float, y: float, pixel: float, most: float) -> None:
-    """Draw a bar of 1, 2 or 5 · 10ᵏ m that has at most `most` pixels, of `pixel` m each."""
+    """Draw a scale bar of 1, 2 or 5 · 10ᵏ m. x, y: its left end, pixels.
+
+    pixel: size of a pixel, m. most: largest length of the bar, pixels.
+    """
     metres = plotting.round_down(most * pixel)
     end = x + metres / pixel
     strip.plot([x, x, x, end, end, end], [y - 4, y + 4, y, y, y - 4, y + 4], color=plotting.BLACK, linewidth=0.6)
@@ -101,7 +113,7 @@ def _draw_scale(strip, x: float, y: float, pixel: float, most: float) -> None:
 
 
 def _draw_colours(strip, x: float, y: float, fastest: float) -> None:
-    """Draw the colours of the speeds from 0 to `fastest`, m/s."""
+    """Draw the colours of speeds from 0 to `fastest`, m/s. x, y: left end, pixels."""
     strip.text(x, y, "0", **_LETTERS)
     strip.imshow(
         [np.linspace(0, 1, 32)], extent=(x + 11, x + 51, y - 4, y + 4), cmap=plotting.COLOUR_MAP, aspect="auto"
@@ -110,18 +122,18 @@ def _draw_colours(strip, x: float, y: float, fastest: float) -> None:
 
 
 def _draw_force(strip, x: float, y: float, strongest: float) -> None:
-    """Draw the widest line, and its force, N."""
+    """Draw a line of the largest width, and its force `strongest`, N. x, y: left end, pixels."""
     strip.plot([x, x + 28], [y, y], color=plotting.VERMILION, linewidth=plotting.WIDEST, solid_capstyle="butt")
     strip.text(x + 34, y, f"{float(f'{strongest:.3g}'):,g} N", **_LETTERS)
 
 
 def write_film(path, states: Sequence, draw: Callable[..., np.ndarray], fps: float) -> Path:
-    """Write a film of states, `fps` pictures a second, as GIF or MP4, by the ending of its name. Returns the path.
+    """Write a film of states as GIF or MP4, according to the ending of `path`. Returns the path.
 
-    draw: makes the picture of a state, (height, width, 3), uint8. The delays of a GIF are whole hundredths of a second,
-    and players show none below two. So above 50 pictures a second a GIF leaves states out, and takes as long.
-    Raises ValueError for another ending, and for an MP4 without ffmpeg, before the first picture is made. Raises
-    OSError with what ffmpeg said where it ends early.
+    draw: function of a state that returns its picture, (height, width, 3), uint8. fps: pictures a second. The delays of
+    a GIF are multiples of 0.01 s, and players show no delay below 0.02 s. Above 50 pictures a second, a GIF therefore
+    leaves states out; its duration stays the same. Raises ValueError for another ending, and for an MP4 without ffmpeg,
+    before the first picture is made. Raises OSError, with the output of ffmpeg, if ffmpeg ends early.
     """
     path = Path(path)
     is_known = path.suffix in (".gif", ".mp4")
@@ -140,7 +152,10 @@ def write_film(path, states: Sequence, draw: Callable[..., np.ndarray], fps: flo
 
 
 def gif_timing(count: int, fps: float) -> tuple[list[int], list[int]]:
-    """Indices of those of `count` pictures that a GIF shows, and their delays, ms, whose sum is count / fps to 5 ms."""
+    """Choose the pictures of a GIF from `count` pictures. Returns their indices, and their delays, ms.
+
+    The sum of the delays differs from the duration count / fps by at most 5 ms.
+    """
     end = round(100 * count / fps)
     shown, begins = [0], [0]
     for i in range(1, count):
@@ -154,17 +169,20 @@ def gif_timing(count: int, fps: float) -> tuple[list[int], list[int]]:
 def _write_gif(path: Path, pictures, delays: list[int]) -> None:
     speeds = 255 * colormaps[plotting.COLOUR_MAP](np.linspace(0.0, 1.0, 32))[:, :3]
     palette = Image.new("P", (1, 1))
-    colours = np.concatenate([speeds, np.mgrid[:6, :6, :6].reshape(3, -1).T * 51])  # and colours for edges
+    colours = np.concatenate([speeds, np.mgrid[:6, :6, :6].reshape(3, -1).T * 51])  # and 216 colours for edges
     palette.putpalette(colours.round().astype(np.uint8).tobytes())
     shown = (Image.fromarray(one).quantize(palette=palette, dither=Image.Dither.NONE) for one in pictures)
     next(shown).save(path, save_all=True, append_images=shown, duration=delays, loop=0, optimize=False)
 
 
 def _ffmpeg() -> str | None:
-    """Path of ffmpeg: that of the machine, or that of the package imageio-ffmpeg; None where there is neither."""
+    """Return the path of the installed ffmpeg, or else of that in the package imageio-ffmpeg.
+
+    Returns None if there is neither.
+    """
     found = shutil.which("ffmpeg")
     if found is None:
-        with suppress(ImportError, RuntimeError):  # the package has no program for every machine
+        with suppress(ImportError, RuntimeError):  # the package lacks a program for some machines
             from imageio_ffmpeg import get_ffmpeg_exe
 
             found = get_ffmpeg_exe()
@@ -178,7 +196,7 @@ def _write_mp4(path: Path, pictures, fps: float, program: str) -> None:
     command = [program, "-y", "-loglevel", "error", *source, "-pix_fmt", "yuv420p", str(path)]
     is_whole = False
     with TemporaryFile() as said:
-        # The pipe breaks where ffmpeg ends early; its output and its status say why.
+        # The pipe breaks if ffmpeg ends early. The output and the status of ffmpeg give the reason.
         with suppress(BrokenPipeError), subprocess.Popen(command, stdin=subprocess.PIPE, stderr=said) as ffmpeg:
             for picture in chain([first], pictures):
                 ffmpeg.stdin.write(picture.tobytes())

@@ -1,4 +1,4 @@
-"""Pictures in a notebook: of a state, and of what is drawn anew in its place."""
+"""Display in notebooks: the picture of a state, and objects whose display is updated in place."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from deep_contact.state.state import State
 from deep_contact.state.validation import expect
 
 MOST_CIRCLES = 5000
-"""Of more circles no picture is made: it would take seconds each time that a notebook shows a state."""
+"""Largest number of circles in a picture. With more circles, a notebook would take seconds whenever it shows a
+state."""
 
 
 def picture_of(state: State) -> str:
-    """HTML of a picture of circles and impulses; "" of more than `MOST_CIRCLES` circles."""
+    """Return HTML with a picture of a state's circles and impulses, or "" for more than `MOST_CIRCLES` circles."""
     if state.bodies.count > MOST_CIRCLES:
         return ""
     figure, ax = plotting.subplots(size=(3.0, 3.0))
@@ -25,11 +26,11 @@ def picture_of(state: State) -> str:
 
 
 _places: WeakKeyDictionary = WeakKeyDictionary()
-"""What is shown live -> the run of a cell, and its place there."""
+"""Displayed object -> (execution count of the cell that displays it, handle of the display)."""
 
 
 def show(shown) -> None:
-    """Show something in a notebook, or draw it anew in its place if this cell shows it already.
+    """Display an object in a notebook. If the current cell already displays it, the display is updated in place.
 
     Raises ValueError outside of a notebook.
     """

@@ -1,20 +1,21 @@
-"""Pages that play runs: one file of HTML with the states in it, which any browser shows without a network.
+"""HTML pages that play runs: one file with all states in it, which any browser shows without a network.
 
-The page is `player.html` with `player.js` and the data. Numbers are packed in columns of integers. A column has the
-differences from the state before, as four planes of bytes, deflated, in base64.
+A page consists of `player.html`, `player.js` and the data. Numbers are stored in columns of integers. Columns of
+circles and segments store differences from the state before. The integers of a column are written as four planes of
+bytes, compressed by deflate, and encoded in base64.
 
-| column | of each | unit                                                                                    |
+| column | of each | meaning and unit                                                                        |
 |--------|---------|-----------------------------------------------------------------------------------------|
-| x, y   | circle  | `unit` m, at most 1/1000 of the smallest radius, from `low`                             |
-| angle  | circle  | 2π / 65,536                                                                             |
-| radius | circle  | bits of a float32, m                                                                    |
-| mass   | circle  | bits of a float32, kg                                                                   |
-| speed  | circle  | 1/65,535 of `topSpeed`                                                                  |
-| colour | circle  | 1/65,535 of the range `colours`; only with `colour=`                                    |
-| lines  | segment | ends x, y, x, y, in the unit of x and y                                                 |
-| a, b   | contact | a minus a of the contact before; b minus a                                              |
-| normal | contact | (k / 65,535)² `topForce` N: fine where forces are small                                 |
-| across | contact | friction, in the unit of normal, with a sign                                            |
+| x, y   | circle  | centre minus `low`, in steps of `unit` m, about 1/1000 of the smallest radius or less   |
+| angle  | circle  | orientation, in steps of 2π / 65,536                                                    |
+| radius | circle  | radius, m: bits of a float32                                                            |
+| mass   | circle  | mass, kg: bits of a float32                                                             |
+| speed  | circle  | speed, in steps of 1/65,535 of `topSpeed`                                               |
+| colour | circle  | value, in steps of 1/65,535 of the range `colours`; only with `colour=`                 |
+| lines  | segment | ends x, y, x, y, in steps as for x and y                                                |
+| a, b   | contact | first circle a, minus a of the contact before; second body b, minus a                   |
+| normal | contact | integer k of the normal force (k / 65,535)² `topForce`, N: small forces have fine steps |
+| across | contact | integer k of the friction force, as for normal, with a sign                             |
 """
 
 from __future__ import annotations
@@ -37,40 +38,43 @@ from deep_contact.state.checks import check_state
 from deep_contact.state.validation import expect, floats
 
 MOST_CIRCLES = 2_000_000
-"""Most circles of a page, of all states together: some 20 MB, and some 200 MB in a browser."""
+"""Largest number of circles on a page, summed over all states. Such a page has some 20 MB, and takes some 200 MB in a
+browser."""
 
 ANGLES = 65_536
-"""Steps of a whole turn."""
+"""Number of steps of a whole turn in the column angle."""
 
 STEPS = 65_535
-"""Steps from the least to the largest value of a column of 16 bits."""
+"""Number of steps from the least to the largest value of a column of 16 bits."""
 
 FINEST = 2**30
-"""Most units from one side of the scene to the other."""
+"""Largest number of length steps from one side of the scene to the other."""
 
 WIDEST_SHARE = 98
-"""Percentile of all forces that has the widest line: an impact does not make the lines at rest thin."""
+"""Percentile of all normal forces that gets the widest line. With the largest force instead, an impact would make all
+lines of a pile at rest thin."""
 
 
 def write_page(path, states: Sequence, *, colour=None) -> Path:
-    """Write the page of `page`, whole or not at all. Returns its path. Raises OSError where it cannot be written."""
+    """Write the page of these states (`page`) in one move. Returns its path. Raises OSError if it cannot be written."""
     return write_bytes(path, page(states, colour=colour).encode())
 
 
 def page(states: Sequence, *, colour=None) -> str:
-    """HTML that plays states in the box of the first. colour: numbers for the circles of each state, (n,) each.
+    """Return HTML that plays states in the box of the first state.
 
-    Raises ValueError on numbers that are not finite or do not fit, and for more than `MOST_CIRCLES`.
+    colour: for each state, numbers that colour its circles, (n,). Raises ValueError for numbers that are not finite or
+    do not fit the circles, and for more than `MOST_CIRCLES` circles.
     """
     files = resources.files("deep_contact.plot")
     html, script = (files.joinpath(f"player.{kind}").read_text(encoding="utf-8") for kind in ("html", "js"))
-    # As ASCII, and without the character that could end the script: no text in it is read as HTML.
+    # The data are ASCII without "<", so that no text in them ends the script or is read as HTML.
     data = json.dumps(page_data(states, colour=colour), separators=(",", ":")).replace("<", "\\u003c")
     return html.replace("@SCRIPT@", script).replace("@DATA@", data)
 
 
 def page_data(states: Sequence, *, colour=None) -> dict:
-    """The data of a page, as JSON can hold them; `player.js` reads them."""
+    """Return the data of a page in types that JSON can store. `player.js` reads them."""
     total, hint = sum(state.bodies.count for state in states), "; one in so many states is enough for the eye (every=…)"
     few = f"at most {MOST_CIRCLES:,} circles in all of them together"
     expect(total <= MOST_CIRCLES, f"states: expected {few}, got {total:,}{hint}")
@@ -138,7 +142,9 @@ def _checked_colours(colour, states: Sequence) -> list[np.ndarray]:
 
 
 def _grid(states: Sequence) -> tuple[np.ndarray, float, list[np.ndarray]]:
-    """The origin of a page's places, (2,), m, their unit, m, and the ends of each state's segments, (2 S, 2), m."""
+    """Return the origin of a page's coordinates, (2,), m; their step, m; and the ends of each state's segments, (2 S,
+    2), m.
+    """
     ends = [np.reshape(state.world.segments, (-1, 2)) for state in states]
     x_min, y_min, x_max, y_max = states[0].world.box
     every = np.concatenate([*(state.bodies.position for state in states), *ends, [(x_min, y_min), (x_max, y_max)]])
@@ -148,7 +154,10 @@ def _grid(states: Sequence) -> tuple[np.ndarray, float, list[np.ndarray]]:
 
 
 def _differences(of_states: Sequence[np.ndarray]) -> np.ndarray:
-    """Each state's numbers minus those of the state before, for as many as both have; one array, int64."""
+    """Return the numbers of each state minus those of the state before, as one array, int64.
+
+    Where the state before has fewer numbers, the others stay as they are.
+    """
     found = [values.astype(np.int64) for values in of_states]
     for before, after in reversed([*pairwise(found)]):
         shared = min(len(before), len(after))
@@ -161,7 +170,10 @@ def _roots(shares: np.ndarray) -> np.ndarray:
 
 
 def _packed(numbers: np.ndarray) -> str:
-    """Whole numbers modulo 2³² as text. Small ones of either sign have three bytes of 0, which take no space."""
+    """Return integers modulo 2³² as text.
+
+    Small integers of either sign have three bytes of 0, which take almost no space after compression.
+    """
     signed = numbers.astype(np.int64).astype(np.uint32).view(np.int32)
     folded = (signed << 1) ^ (signed >> 31)
     planes = folded.view(np.uint8).reshape(-1, 4).T.tobytes()

@@ -1,8 +1,10 @@
-"""One style for every figure: colours, lines, axes with units, states, convergence curves, files.
+"""The style of all figures, and functions that draw states, contact forces, curves, tables and networks, and save them.
 
-The colours are those of Okabe and Ito, which people with any kind of colour vision can tell apart. Every start has its
-own colour *and* line. Matplotlib is imported inside the functions and used without pyplot: nothing here opens a window
-or keeps global state.
+The colours are those of Okabe and Ito, which people with any kind of colour vision can tell apart. Every start (of the
+solver's impulses) has its own colour *and* line style. Matplotlib is imported inside the functions and used without
+pyplot: no function opens a window or keeps global state.
+
+Tests: tests/figures/test_figure.py
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ BLACK, GREY = "#000000", "#767676"
 ORANGE, SKY, GREEN, YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
 BLUE, VERMILION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
-"""Colours of curves that are not starts, in order. Yellow is for areas only: a yellow line is hard to see on white."""
+"""Colours of curves that do not belong to starts, in order. Yellow is for areas only: a yellow line is hard to see on
+white."""
 
 COLOUR_MAP = "viridis"
 """Sequential colour map: perceptually uniform, and monotonic in grey."""
@@ -57,13 +60,14 @@ START_STYLE = {
         ("best classical", BLACK, "-", "Best classical"),
     )
 }
-"""Name of a start -> keywords for `ax.plot`, the same in every figure."""
+"""Name of a start -> keyword arguments for `ax.plot`, which are the same in every figure."""
 
 SHARING = "#17BECF"
-"""Colour of the authors' sharing, a way back from the grid that is drawn beside starts."""
+"""Colour of "sharing", by which the thesis's authors get impulses back from the grid, in figures that also show
+starts."""
 
 ENGINE_MARKER = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
-"""Other engine -> its marker, drawn in grey."""
+"""Name of another physics engine -> its marker. Other engines are drawn in grey."""
 
 _STYLE = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same letters on every machine
@@ -91,14 +95,19 @@ _STYLE = {
 
 
 def shades(count: int) -> list[str]:
-    """`count` colours for an ordered series (sizes, steps, presets), from light to dark. No start has such a colour."""
+    """Return `count` colours for an ordered series (sizes, steps, presets), from light to dark. No start has such a
+    colour.
+    """
     from matplotlib import colormaps, colors
 
     return [colors.to_hex(colour) for colour in colormaps["cividis"](np.linspace(0.85, 0.0, count))]
 
 
 def style() -> AbstractContextManager[None]:
-    """Context manager with the style of all figures, for making and saving them: `with plotting.style(): ...`."""
+    """Return a context manager with the style of all figures: `with plotting.style(): ...`.
+
+    Figures are made and saved in this context.
+    """
     from cycler import cycler
     from matplotlib import style as styles
 
@@ -107,25 +116,34 @@ def style() -> AbstractContextManager[None]:
 
 
 def style_of(start: str) -> dict:
-    """Keywords for `ax.plot` of this start: color, linestyle, label. Raises ValueError naming the known starts."""
+    """Return keyword arguments for `ax.plot` for a start: color, linestyle, label.
+
+    start: name of a start, by which the solver gets its starting impulses. Raises ValueError, which lists the known
+    starts, for an unknown one.
+    """
     return dict(START_STYLE[one_of("start", start, START_STYLE)])
 
 
 def styles_of(names: Iterable[str]) -> dict[str, dict]:
-    """Name -> keywords for `ax.plot`: starts as `style_of` has them, others with the next free colour and line."""
+    """Return name -> keyword arguments for `ax.plot`. Starts have those of `style_of`.
+
+    Each other name gets the next free pair of colour and line style.
+    """
     looks = {name: START_STYLE.get(name) for name in names}
     taken = {look["color"] for look in looks.values() if look}
-    # Seven colours and four lines have no common factor: 28 different pairs. Colours of starts come last.
+    # Seven colours and four lines have no common factor, so they make 28 different pairs. Colours of the starts among
+    # the names are left out, unless these have all seven.
     pairs = zip(cycle(CYCLE), cycle(("-", "--", "-.", ":")))
     free = (pair for pair in pairs if pair[0] not in taken or taken >= set(CYCLE))
     return {name: look or dict(zip(("color", "linestyle"), next(free)), label=name) for name, look in looks.items()}
 
 
 def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords) -> tuple:
-    """A figure and its axes (one, or an array as from `Figure.subplots`), without pyplot. A notebook shows the figure.
+    """Return a figure and its axes (one, or an array as from `Figure.subplots`), made without pyplot.
 
-    size: width and height, inches; by default 6 × 4 for one panel, and 4.2 × 3.6 for each of several. The figure is no
-    wider than a page, so that letters keep their size where it is shown.
+    A notebook shows the figure. size: width and height, inches; by default 6 × 4 for one panel, and 4.2 × 3.6 for each
+    of several. The figure is no wider than a page (`PAGE`), so that letters have their size when it is shown. keywords:
+    those of `Figure.subplots`.
     """
     from matplotlib.figure import Figure
 
@@ -140,12 +158,15 @@ def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | Non
             figure.savefig(content, format="png", dpi=DPI)
         return content.getvalue()
 
-    figure._repr_png_ = png  # IPython shows only the figures that pyplot has made, or what has this method
+    figure._repr_png_ = png  # IPython shows only figures of pyplot, and objects with this method
     return figure, axes
 
 
 def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title: str = "") -> None:
-    """Label both axes as "quantity (unit)", without brackets for a pure number, and set the panel's title if given."""
+    """Label both axes as "quantity (unit)", or "quantity" for a pure number, and set the title of the panel.
+
+    Without `title` no title is set.
+    """
     ax.set_xlabel(f"{x} ({x_unit})" if x_unit else x)
     ax.set_ylabel(f"{y} ({y_unit})" if y_unit else y)
     if title:
@@ -153,16 +174,16 @@ def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title:
 
 
 def name_bars(ax, names: Sequence[str]) -> None:
-    """Name horizontal bars at 0, 1, …, the first at the top, without lines of the grid along the bars."""
+    """Label horizontal bars at 0, 1, …, the first at the top, and remove the grid lines along the bars."""
     ax.set_yticks(range(len(names)), names)
     ax.invert_yaxis()
     ax.grid(False, axis="y")
 
 
 def log_axes(ax) -> None:
-    """Make both axes logarithmic, with plain numbers at 1, 2 and 5 of each decade.
+    """Make both axes logarithmic, with labels 1, 2 and 5 of each decade as plain numbers.
 
-    An axis longer than two decades has numbers at powers of ten only.
+    An axis longer than two decades has labels at powers of ten only.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -174,13 +195,19 @@ def log_axes(ax) -> None:
 
 
 def band(ax, x, middle, low, high, **look) -> None:
-    """Draw a curve with a shaded interval around it. look: keywords for `ax.plot`."""
+    """Draw the curve `middle` over x, and shade the interval from `low` to `high` around it.
+
+    look: keyword arguments for `ax.plot`.
+    """
     (line,) = ax.plot(x, middle, **look)
     ax.fill_between(x, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
 
 
 def legend_below(figure, ax, title: str = ""):
-    """Add the legend of `ax` in a row below all panels, and a title, if any, above them. Returns the figure."""
+    """Add the legend of `ax` in a row below all panels, and the title above them. Returns the figure.
+
+    Without `title` no title is set.
+    """
     if title:
         figure.suptitle(title, fontsize=10)
     handles, labels = ax.get_legend_handles_labels()
@@ -189,9 +216,9 @@ def legend_below(figure, ax, title: str = ""):
 
 
 def scene_axes(ax, box: Sequence[float], *, walls: bool = True) -> None:
-    """Set axes for a scene: metres, equal scales, the whole box in view with 2 % margin, outlined if `walls`.
+    """Prepare axes for a scene: metres, equal scales, and the whole box in view with a margin of 2 %.
 
-    box: (x_min, y_min, x_max, y_max), m.
+    box: (x_min, y_min, x_max, y_max), m. walls: whether the box is outlined.
     """
     from matplotlib.patches import Rectangle
 
@@ -207,10 +234,10 @@ def scene_axes(ax, box: Sequence[float], *, walls: bool = True) -> None:
 
 
 def scene_and_part(state, x: np.ndarray, y: np.ndarray, *, centre: np.ndarray, half: float):
-    """Draw a scene with a grid in two axes: the whole scene, and a square of it with the grid's nodes.
+    """Draw a scene with a grid in two panels: the whole scene, and a square part of it with the nodes of the grid.
 
-    x, y: coordinates of the grid's columns and rows, m. centre, half: centre, (2,), m, and half of the side, m, of the
-    square. Returns the figure and both axes.
+    x, y: coordinates of the grid's columns and rows, m. centre, half: centre of the square, (2,), m, and half of its
+    side, m. Returns the figure and both axes.
     """
     from matplotlib.patches import Rectangle
 
@@ -230,9 +257,9 @@ def scene_and_part(state, x: np.ndarray, y: np.ndarray, *, centre: np.ndarray, h
 
 
 def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
-    """The values that colour the circles, (n,), and their label.
+    """Return the values that colour the circles, (n,), and their label.
 
-    colour_by: "speed", m/s, or "impulse", the sum of λ_n at the contacts of a circle, N·s. Raises ValueError for any
+    colour_by: "speed", m/s, or "impulse", the sum of λ_n over the contacts of a circle, N·s. Raises ValueError for any
     other `colour_by`.
     """
     if one_of("colour_by", colour_by, ("speed", "impulse")) == "speed":
@@ -245,10 +272,10 @@ def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
 
 
 def top_speed(states: Iterable) -> float:
-    """Speed of the last colour for these states, m/s: that of the fastest circle, and at least √(g r̄).
+    """Return the speed of the last colour for these states, m/s: that of the fastest circle, but at least √(g r̄).
 
-    r̄: mean radius. A circle reaches √(g r̄) when it falls by half of r̄. So circles at rest are dark, whatever
-    rounding makes of their speeds.
+    r̄ is the mean radius. A circle that falls by half of r̄ reaches √(g r̄). With this lower limit, circles at rest are
+    dark although rounding leaves them some speed.
     """
     top = 0.0
     for state in states:
@@ -259,19 +286,21 @@ def top_speed(states: Iterable) -> float:
 
 
 def round_down(value: float) -> float:
-    """The largest of 1, 2 or 5 · 10ᵏ that is at most `value`, for the bar of a scale."""
+    """Return the largest number 1, 2 or 5 · 10ᵏ that is at most `value`, for a scale bar."""
     decade = 10.0 ** math.floor(math.log10(value))
     return max(step * decade for step in (1.0, 2.0, 5.0) if step * decade <= value or step == 1.0)
 
 
 def state_data(state) -> dict:
-    """The part of a state that `draw_state` needs, for the data of a results file; `state_of` reads it back."""
+    """Return the part of a state that `draw_state` needs, for a results file. `state_of` reads it."""
     data = {"name": state.name, "time": state.time, "box": state.world.box, "segments": state.world.segments}
     return data | {"bodies": state.bodies, "contacts": state.contacts or no_contacts()}
 
 
 def state_of(data: Mapping):
-    """The state that `state_data` stored. It can be drawn, not simulated: it lacks gravity and solver settings."""
+    """Return the state that `state_data` stored. It cannot be simulated, because it lacks gravity and settings of the
+    solver.
+    """
     bodies, contacts = ({name: np.array(of) for name, of in data[part].items()} for part in ("bodies", "contacts"))
     contacts = Contacts(**contacts) if contacts["body_a"].size else no_contacts()
     world = World(box=tuple(data["box"]), segments=data.get("segments", ()))
@@ -288,14 +317,15 @@ def draw_state(
     largest_impulse: float | None = None,
     bar: bool = True,
 ):
-    """Draw a state into `ax`: circles, a tick for each one's orientation, and contact impulses as lines.
+    """Draw a state into `ax`: circles, a tick for the orientation of each circle, and contact impulses as lines.
 
-    A contact's line runs from the centre of one circle to that of the other, or to the wall. Its width is proportional
-    to the normal impulse (a contact without impulse is a hairline). limits: values of the first and of the last colour,
-    by default 0 and the largest value, for speeds at least √(g r̄) (`top_speed`). largest_impulse: impulse of the
-    widest line, N·s, by default the largest of this state. To compare several states, set limits and largest_impulse.
-    bar: whether the bar of the colours is drawn, at the right of the axes. Returns the circles' collection, for a
-    colour bar of several axes.
+    The line of a contact runs from the centre of one circle to that of the other, or to the wall or segment. Its width
+    grows in proportion to the normal impulse; a contact without impulse is a hairline. colour_by: "speed" or "impulse"
+    (`body_values`), or None for one colour. contacts: whether the impulses are drawn. limits: values of the first and
+    of the last colour; by default 0 and the largest value, which is `top_speed` for speeds. largest_impulse: impulse of
+    the widest line, N·s; by default the largest of this state. To compare several states, set limits and
+    largest_impulse. bar: whether a bar of the colours is drawn at the right of the axes. Returns the collection of the
+    circles, for a colour bar of several axes.
     """
     from matplotlib.collections import EllipseCollection, LineCollection
 
@@ -314,7 +344,7 @@ def draw_state(
         signs = np.sign(state.world.surface_speeds or np.zeros(len(segments)))
         along = signs[:, None] * np.diff(segments, axis=1)[:, 0]
         for middle, way in zip(segments.mean(axis=1), along):
-            if way.any():  # a belt, with the direction in which it drags
+            if way.any():  # a surface that moves, as an arrow in its direction
                 look = {"arrowstyle": "-|>", "color": BLACK, "shrinkA": 0, "shrinkB": 0}
                 ax.annotate("", xy=middle + 0.25 * way, xytext=middle - 0.25 * way, arrowprops=look)
     ax.add_collection(circles)
@@ -322,19 +352,19 @@ def draw_state(
     circles.update_scalarmappable()
     colours = readable_on(np.atleast_2d(circles.get_facecolor()))
     heading = np.stack([np.cos(bodies.angle), np.sin(bodies.angle)], axis=1) * bodies.radius[:, None]
-    # From half of the radius on: a tick of a whole radius looks like a contact.
+    # The tick begins at half of the radius. A tick of a whole radius looks like a contact.
     ticks = np.stack([bodies.position + 0.5 * heading, bodies.position + 0.95 * heading], axis=1)
     ax.add_collection(LineCollection(ticks, colors=colours, linewidths=1.0))
     if contacts and state.contacts is not None and state.contacts.count:
         impulse = state.contacts.normal_impulse
         largest = float(impulse.max()) if largest_impulse is None else largest_impulse
         width = 0.3 + 4.0 * np.minimum(impulse / (largest or 1.0), 1.0)
-        # A white line below sets each line off from circles of any colour.
+        # A white line underneath makes each line stand out from circles of any colour.
         for colour, more in (("white", 0.8), (VERMILION, 0.0)):
             look = {"colors": colour, "linewidths": width + more, "capstyle": "round"}
             ax.add_collection(LineCollection(contact_lines(state), **look))
     if bar and colour_by is not None and bodies.count:
-        with style():  # inside of the axes' own list, so that clearing the axes removes it
+        with style():  # as an inset of the axes, so that clearing the axes removes the bar
             place = ax.inset_axes((1.02, 0.0, 0.03, 1.0))
             ax.figure.colorbar(circles, cax=place, label=label).outline.set_visible(False)
     return circles
@@ -343,10 +373,10 @@ def draw_state(
 def draw_contact_forces(ax, state, *, friction: bool = False, largest: float | None = None, key: bool = True) -> None:
     """Draw the network of contact forces: a line through each contact that pushes, as wide as its normal force.
 
-    friction: whether a line across each contact, as wide as its friction, is drawn too. largest: force of the widest
-    line, N; by default the largest normal force of this state. key: whether the widths are explained in N, and the
-    forces of walls and segments on the circles drawn: each as an arrow that ends where the force acts, and with its
-    size in the key. `deep_contact.analysis.contact_forces` says for which moment the forces hold.
+    friction: whether a line across each contact, as wide as its friction force, is drawn too. largest: force of the
+    widest line, N; by default the largest normal force of this state. key: whether a key explains the widths in N. With
+    the key, the forces of walls and segments on the circles are drawn as arrows that end where the force acts, and
+    listed in the key. `deep_contact.analysis.contact_forces` says for which moment the forces hold.
     """
     from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
@@ -358,7 +388,7 @@ def draw_contact_forces(ax, state, *, friction: bool = False, largest: float | N
     normal, across = c.normal_impulse / state.dt, np.abs(c.tangent_impulse) / state.dt
     largest = float(normal.max(initial=0.0)) if largest is None else largest
     draw_state(ax, state, colour_by=None, contacts=False).set(edgecolor="#BBBBBB", facecolor="#F4F4F4")
-    ax.collections[-1].set_color("#BBBBBB")  # the ticks
+    ax.collections[-1].set_color("#BBBBBB")  # the ticks of the orientations
     tangent = (0.4 * radius[c.body_a])[:, None] * np.column_stack([c.normal[:, 1], -c.normal[:, 0]])
     crossing = np.stack([c.position - tangent, c.position + tangent], axis=1)
     shown = [(contact_lines(state), normal, VERMILION)] + [(crossing, across, BLUE)] * friction
@@ -378,7 +408,10 @@ def draw_contact_forces(ax, state, *, friction: bool = False, largest: float | N
 
 
 def _draw_reactions(ax, state) -> list[str]:
-    """Draw the forces of walls and segments as arrows, at most a tenth of the box long. Returns the forces as texts."""
+    """Draw the forces of walls and segments on the circles as arrows. Returns the sizes of the forces, N, as texts.
+
+    The longest arrow is a tenth of the longer side of the box.
+    """
     from deep_contact.analysis.contact_forces import forces
 
     acting, c, beyond = forces(state), state.contacts, state.contacts.body_b - state.bodies.count
@@ -398,9 +431,9 @@ def _draw_reactions(ax, state) -> list[str]:
 
 
 def draw_stress(ax, state, *, spacing: float):
-    """Draw the pressure of the medium in square cells, half the trace of `contact_forces.mean_stress`, as an image.
+    """Draw the mean pressure in square cells as an image: half the trace of `contact_forces.mean_stress`, N/m.
 
-    spacing: of the cells, m. Returns the image, for a colour bar in N/m.
+    spacing: side of a cell, m. Returns the image, for a colour bar.
     """
     from deep_contact.analysis.contact_forces import mean_stress
 
@@ -415,7 +448,10 @@ def draw_stress(ax, state, *, spacing: float):
 
 
 def impulse_key(figure, largest: float) -> None:
-    """Add a key below a figure of states: widths of lines and their normal impulses, N·s, and the meaning of ticks."""
+    """Add a key below a figure of states: line widths with their normal impulses, N·s, and the meaning of the ticks.
+
+    largest: impulse of the widest line, N·s.
+    """
     from matplotlib.lines import Line2D
 
     lines = [
@@ -427,7 +463,7 @@ def impulse_key(figure, largest: float) -> None:
 
 
 def readable_on(colours: np.ndarray) -> np.ndarray:
-    """Black or white for each colour, (…, 4), whichever stands out from it."""
+    """Return black or white for each colour, RGBA (…, 4), whichever stands out from it."""
     return np.where(colours[..., :3] @ np.array([0.299, 0.587, 0.114]) > 0.5, "#222222", "white")
 
 
@@ -439,9 +475,9 @@ _LINE = 0.17
 
 
 def draw_table(rows: Sequence[Sequence[str]], title: str):
-    """A figure that shows a table of text: the first row is its head.
+    """Return a figure that shows a table of text. rows: cells of each row; the first row is the head.
 
-    Text is wrapped so that it fits a page; where the longest words do not fit, letters are smaller.
+    Text is wrapped so that the table fits a page. If the longest words do not fit, letters are smaller.
     """
     for width in range(100, 4, -1):
         wrapped = [[textwrap.fill(text, width, break_long_words=False) for text in row] for row in rows]
@@ -476,10 +512,10 @@ def draw_network(
 ) -> None:
     """Draw a fully connected network: one column of neurons for each layer, from left to right.
 
-    values: values of each layer's neurons. weights: weights between each layer and the next, (n, m), drawn as lines as
-    wide as the weights are large: blue ones, and dashed vermilion ones for negative weights. titles: texts below the
-    layers. dropped: flags of neurons that are crossed out and have no lines. numbers: format of a neuron's value; ""
-    omits the values.
+    values: values of the neurons of each layer. weights: weights between each layer and the next, (n, m), drawn as
+    lines whose width grows with the size of the weight: blue, or dashed vermilion if the weight is negative. titles:
+    texts below the layers. dropped: flags of neurons that are crossed out and have no lines. numbers: format of a
+    neuron's value; "" omits the values.
     """
     places = [[(i, 0.5 * (len(layer) - 1) - j) for j in range(len(layer))] for i, layer in enumerate(values)]
     gone = dropped or [[False] * len(layer) for layer in values]
@@ -505,7 +541,7 @@ def draw_network(
 
 
 def save(figure, path: str | os.PathLike) -> Path:
-    """Write a figure as PNG to a path "….png". Returns the path. The same figure gives the same bytes."""
+    """Write a figure as PNG to a path that ends in .png. Returns the path. Equal figures give equal bytes."""
     path = Path(path)
     hint = "figure.savefig writes other formats"
     expect(path.suffix.lower() == ".png", f"path: expected a name that ends in .png, got {str(path)!r}; {hint}")

@@ -1,4 +1,9 @@
-"""Broad phase: which circles are near one another, by a grid of cells and a list that lasts for several steps."""
+"""Broad phase: finds circles that are near one another, by a grid of cells and by a list of near pairs.
+
+The list is valid for several steps. It contains all pairs of circles whose gap is at most the *gap limit*.
+
+Tests: tests/stepping/test_contacts.py
+"""
 
 from __future__ import annotations
 
@@ -11,52 +16,53 @@ from deep_contact.compiled import njit
 from deep_contact.state.constants import NEARLY
 
 LEAST_NEAR = 0.1
-"""Smallest gap limit of the list of near pairs, in smallest radii: pairs with a smaller gap are near."""
+"""Smallest value of the gap limit, in units of the smallest radius."""
 
 MOST_NEAR = 1.0
-"""Largest gap limit, in smallest radii: in a packing, few second neighbours are nearer than this."""
+"""Largest value of the gap limit, in units of the smallest radius. In a packing, few second neighbours have a smaller
+gap."""
 
 NEAR_BY_MOTION = 5.0
-"""Gap limit over the square root of the relative displacement of circles in a step, both in smallest radii. A list with
-a larger limit lasts for more steps, and takes longer to make and to read."""
+"""Factor c of the gap limit g = c √d, where d is the relative displacement of circles in a step. g and d are in units
+of the smallest radius. With a larger gap limit a list lasts for more steps, but takes longer to make and to read."""
 
 LASTING = 3
-"""Least number of steps that a list has to last to pay: to make a list takes longer than a search, and to read it takes
-a quarter of a search."""
+"""A list is made only if it will be valid for at least this number of steps. To make a list takes longer than a search
+by cells; to read it takes a quarter of a search."""
 
 TRY_AGAIN = 20
-"""Number of searches without a list after a list that did not fit its array, which happens only to heaps of overlapping
-circles."""
+"""If a list is too long for its array, no list is made in this number of searches. A list is too long only in heaps of
+overlapping circles."""
 
 CROWDED = 8
-"""Mean number of circles in the cell of a circle, from which on circles are sorted into size levels. Cells are as wide
-as the largest circle, so that small circles crowd in them."""
+"""Circles are sorted into size levels if the cell of a circle contains, on average, more circles than this. Without
+levels the cells are as wide as the largest circle, and one cell can contain many small circles."""
 
 LEVELS = 16
-"""Largest number of size levels. The last level holds all remaining circles."""
+"""Largest number of size levels. The last level contains all smaller circles."""
 
 STEP = 8.0
-"""Ratio of the largest to the smallest radius of a size level."""
+"""Largest ratio of two radii in one size level."""
 
 GRID = np.dtype(
     [
-        ("x", float),  # of the grid's corner, m
+        ("x", float),  # corner of the grid, m
         ("y", float),
-        ("per_metre", float),  # cells per metre
+        ("per_metre", float),  # number of cells per metre
         ("widest", float),  # largest radius, m
         ("columns", np.int64),
         ("rows", np.int64),
         ("first_cell", np.int64),
     ]
 )
-"""Grid of a size level: the place and the number of its cells, and its largest radius."""
+"""Grid of a size level: its place, the number of its cells, and the largest radius of the level."""
 
 LIST_MEMORY = np.dtype(
     [
-        ("searches", np.int64),  # since the last sorting; -1 before the first
-        ("pairs", np.int64),  # in the list; -1 where there is none
-        ("wait", np.int64),  # searches until a list is tried again, after one that did not fit
-        ("gap", float),  # limit below which a pair is near, m
+        ("searches", np.int64),  # number of searches since `anchor` was set; -1 before
+        ("pairs", np.int64),  # number of pairs in the list; -1 without a list
+        ("wait", np.int64),  # number of searches before another list is made
+        ("gap", float),  # gap limit, m: pairs with at most this gap are near
     ]
 )
 """Age and size of the list of near pairs."""
@@ -65,24 +71,25 @@ LIST_MEMORY = np.dtype(
 class Cells(NamedTuple):
     """Buffers of the broad phase over n circles, and its list of near pairs (Verlet's neighbour list).
 
-    All touching pairs are in the list as long as no circle has moved by more than half the gap limit, relative to the
-    common motion of all circles. No list is made if it would not last long enough.
+    The list contains all touching pairs as long as no circle has moved by more than half the gap limit since the list
+    was made. Displacements are measured relative to the common motion of all circles. A list is made only if it will be
+    valid for some steps (`LASTING`).
     """
 
-    start: np.ndarray  # (8n + 1000,): circles `order[start[c]:start[c + 1]]` are in cell c
-    order: np.ndarray  # (n,): circles by level and cell, in a cell by index
+    start: np.ndarray  # (8n + 1000,): cell c contains the circles `order[start[c]:start[c + 1]]`
+    order: np.ndarray  # (n,): circles, sorted by level, then by cell, then by index
     cell: np.ndarray  # (n,): cell of each circle: row * columns + column in the grid of its level
-    circle: np.ndarray  # (n, 3): x, y, radius in the order of `order`
-    anchor: np.ndarray  # (n, 2): positions at the last sorting
-    first: np.ndarray  # (n + 1,): circles `near[first[a]:first[a + 1]]` are near a and come after it
-    near: np.ndarray  # (8n + 40,): near circles, for each a by index
+    circle: np.ndarray  # (n, 3): x, y and radius of the circles, in the order of `order`
+    anchor: np.ndarray  # (n, 2): positions that `remember` stored last, m
+    first: np.ndarray  # (n + 1,): `near[first[a]:first[a + 1]]` are the circles b > a near circle a
+    near: np.ndarray  # (8n + 40,): near circles, for each circle a sorted by index
     memory: np.ndarray  # (1,): `LIST_MEMORY`
-    level: np.ndarray  # (n,): size level of each circle; level 0 holds the largest
+    level: np.ndarray  # (n,): size level of each circle; level 0 has the largest circles
     grid: np.ndarray  # (16,): `GRID` of each level
 
 
 def make_cells(n):
-    """Buffers of the broad phase over n circles."""
+    """Return `Cells` for n circles, without a list of near pairs."""
     memory = np.zeros(1, LIST_MEMORY)
     memory[0]["searches"] = memory[0]["pairs"] = memory[0]["wait"] = -1
     return Cells(
@@ -94,9 +101,10 @@ def make_cells(n):
 
 @njit(cache=True, error_model="numpy")
 def refresh_list(position, radius, cells, ahead):
-    """Make the list of near pairs in `cells` anew if it is out of date and a new list pays. Returns whether it exists.
+    """Make a new list of near pairs if the list in `cells` is out of date and a new one pays.
 
-    ahead: gap, m, up to which the list has all pairs.
+    Returns whether a valid list exists. position: (n, 2), m. radius: (n,), m. ahead: gap, m; a valid list contains all
+    pairs with at most this gap.
     """
     n, memory, x, y, apart = position.shape[0], cells.memory[0], 0.0, 0.0, math.inf
     half = 0.49 * (memory["gap"] - ahead)
@@ -128,7 +136,7 @@ def refresh_list(position, radius, cells, ahead):
 
 @njit(cache=True)
 def remember(position, gap, cells):
-    """Record the positions of the circles and the gap limit, m, and that there is no list for them."""
+    """Store the positions of the circles and the gap limit, m, in `cells`, and that there is no list of near pairs."""
     for i in range(position.shape[0]):
         cells.anchor[i, 0], cells.anchor[i, 1] = position[i, 0], position[i, 1]
     memory = cells.memory[0]
@@ -137,9 +145,9 @@ def remember(position, gap, cells):
 
 @njit(cache=True)
 def moves_within(position, anchor, x, y, distance):
-    """Whether the displacement of every circle from its anchor differs from (x, y) by at most the distance, m.
+    """Return whether the displacement of every circle from its anchor differs from (x, y), m, by at most `distance`, m.
 
-    It is False if a position is not a number.
+    The result is False if a position is not a number.
     """
     within, square = distance >= 0.0, distance * distance
     for i in range(position.shape[0]):
@@ -150,7 +158,10 @@ def moves_within(position, anchor, x, y, distance):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def common_motion(position, anchor):
-    """(x, y, apart): the middle of the circles' displacements, and an upper bound of their differences, m."""
+    """Return (x, y, apart), m: the middle of all displacements, and an upper bound of the difference between any two.
+
+    position, anchor: centres after and before the displacements, (n, 2), m.
+    """
     x_min = x_max = position[0, 0] - anchor[0, 0]
     y_min = y_max = position[0, 1] - anchor[0, 1]
     for i in range(position.shape[0]):
@@ -161,7 +172,10 @@ def common_motion(position, anchor):
 
 @njit(cache=True)
 def sum_of(rows):
-    """The sum of an array, (n, 2): not finite where an element is not. Numba's own `sum` is four functions more."""
+    """Return the sum of the elements of an array, (n, 2), which is not finite if an element is not.
+
+    Numba's own `sum` would compile four functions more.
+    """
     total = 0.0
     for i in range(rows.shape[0]):
         total += rows[i, 0]
@@ -171,7 +185,7 @@ def sum_of(rows):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def smallest_of(values):
-    """The least of some numbers. With these fast-math flags the loop vectorises."""
+    """Return the smallest of these numbers, (k,). The fast-math flags let the loop vectorise."""
     smallest = values[0]
     for i in range(values.shape[0]):
         smallest = min(smallest, values[i])
@@ -180,7 +194,7 @@ def smallest_of(values):
 
 @njit(cache=True, error_model="numpy")
 def sort_into_cells(position, radius, gap, cells):
-    """Broad phase: sort the circles into cells (`sort_level`). Fills `cells`. Returns the number of size levels.
+    """Sort the circles into cells (`sort_level`), and fill `cells`. Returns the number of size levels.
 
     position: (n, 2), m. radius: (n,), m. gap: largest gap of the pairs to be found, m. All circles share one level,
     unless small circles crowd in the cells of the largest.
@@ -188,7 +202,7 @@ def sort_into_cells(position, radius, gap, cells):
     cells.level[:] = 0
     levels, last = 0, 1
     while levels < last:
-        # Typed zeros: a literal 0 has a type of its own, for which `sort_level` would be compiled once more.
+        # Typed zeros: a literal 0 has a type of its own, and `sort_level` would be compiled once more for it.
         levels, cell, circle = last, np.int64(0), np.int64(0)
         for number in range(levels):
             cell, circle = sort_level(number, position, radius, gap, cell, circle, cells)
@@ -199,11 +213,12 @@ def sort_into_cells(position, radius, gap, cells):
 
 @njit(cache=True, error_model="numpy")
 def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
-    """Counting sort of the circles of one level into square cells at least one diameter and a gap wide.
+    """Sort the circles of one size level into square cells (counting sort).
 
-    Fills `grid` of the level, and `start` and `order` from the first cell and the first circle on. Returns the cell and
-    the circle after the last. The grid covers the centres. Cells are wider if there would be more than about four of
-    them per circle.
+    A cell is at least as wide as the largest diameter of the level plus `gap`, m. number: the size level. first_cell,
+    first_circle: places in `cells.start` and `cells.order` at which this level begins. Returns the places after the
+    last cell and the last circle. The grid covers the centres of the level's circles. Cells are wider if there would be
+    more than about four of them per circle.
     """
     n, level, grid = position.shape[0], cells.level, cells.grid[number]
     x_min = y_min = math.inf
@@ -216,7 +231,7 @@ def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
             x_min, x_max = min(x_min, position[i, 0]), max(x_max, position[i, 0])
             y_min, y_max = min(y_min, position[i, 1]), max(y_max, position[i, 1])
     if inside == 0:
-        grid["columns"] = 0  # no cells: those of an earlier search are not read
+        grid["columns"] = 0  # without cells, so that those of an earlier search are not read
         return first_cell, first_circle
     high, wide = y_max - y_min, x_max - x_min
     width = max(2.0 * widest + gap, math.sqrt(wide * high / (4.0 * inside + 16.0)))
@@ -236,7 +251,7 @@ def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
     for c in range(count + 1):
         total += begin[c]
         begin[c] = total
-    # Filled from the back, which leaves begin[c] where cell c begins.
+    # Filled from the back. Afterwards begin[c] is the place at which cell c begins.
     for i in range(n - 1, -1, -1):
         if level[i] == number:
             begin[cells.cell[i]] -= 1
@@ -248,7 +263,7 @@ def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
 
 @njit(cache=True)
 def is_crowded(cells, n, count):
-    """Whether the first cells are so full that size levels pay. n: number of circles. count: number of these cells."""
+    """Return whether the first `count` cells contain so many circles that size levels pay. n: number of circles."""
     in_cells_of_all = 0
     for c in range(count - 1):
         inside = cells.start[c + 1] - cells.start[c]
@@ -258,7 +273,10 @@ def is_crowded(cells, n, count):
 
 @njit(cache=True, error_model="numpy")
 def choose_levels(radius, level):
-    """Fill the level of each circle by its size. Returns the number of levels, which is 1 if the radii are similar."""
+    """Write the size level of each circle into `level`, (n,). Returns the number of levels, 1 if the radii are similar.
+
+    radius: (n,), m.
+    """
     largest, smallest = radius[0], radius[0]
     for i in range(radius.shape[0]):
         largest, smallest = max(largest, radius[i]), min(smallest, radius[i])
@@ -274,14 +292,15 @@ def choose_levels(radius, level):
 
 
 TOUCHING = NEARLY**2
+"""Two circles touch if their squared distance is at most this factor times the squared sum of their radii."""
 
 
 @njit(inline="always")
 def circles_around(a, position, reach, levels, cells, found, m):
-    """Write circles with an index above a into `found`, from place m on, sorted: those near the centre of circle a.
+    """Write the circles b > a that are near circle a into `found`, sorted, from place m on.
 
-    A circle is near if its centre is within `reach` plus its own radius, m. Returns the place after the last, or -1 if
-    the circles may not fit.
+    Circle b is near if its centre is at most `reach` plus its own radius, m, from the centre of a. levels: number of
+    size levels. Returns the place after the last circle, or -1 if the circles may not fit.
     """
     x, y, first = position[a, 0], position[a, 1], np.int64(m)
     circle, order = cells.circle, cells.order
@@ -289,12 +308,12 @@ def circles_around(a, position, reach, levels, cells, found, m):
         grid = cells.grid[level]
         columns, per_metre = grid["columns"], grid["per_metre"]
         column, row = (x - grid["x"]) * per_metre, (y - grid["y"]) * per_metre
-        span = TOUCHING * (reach + grid["widest"]) * per_metre + 1e-9  # the summand exceeds rounding
+        span = TOUCHING * (reach + grid["widest"]) * per_metre + 1e-9  # 1e-9 exceeds the rounding error
         left, right = int(max(column - span, 0.0)), int(min(column + span, columns - 1.0))
         if left > right:
             continue
         for neighbour in range(int(max(row - span, 0.0)), int(min(row + span, grid["rows"] - 1.0)) + 1):
-            # The cells of a row lie side by side, so these are one run of circles.
+            # The cells of a row lie side by side in memory, so that their circles are one run of `order`.
             corner = grid["first_cell"] + neighbour * columns
             start, stop = cells.start[corner + left], cells.start[corner + right + 1]
             if m >= 0 and m + (stop - start) > found.shape[0]:
@@ -303,7 +322,8 @@ def circles_around(a, position, reach, levels, cells, found, m):
                 continue
             for k in range(start, stop):
                 d_x, d_y, within = circle[k, 0] - x, circle[k, 1] - y, circle[k, 2] + reach
-                # Written always and kept if it is near: cheaper than a branch that cannot be predicted.
+                # Every circle is written, and overwritten by the next one if it is not near. A branch that cannot be
+                # predicted would cost more.
                 found[m] = order[k]
                 m += (d_x * d_x + d_y * d_y <= TOUCHING * within * within) & (order[k] > a)
     if m >= 0:
@@ -313,7 +333,10 @@ def circles_around(a, position, reach, levels, cells, found, m):
 
 @njit(cache=True, error_model="numpy")
 def find_near(position, radius, gap, cells):
-    """Fill the list with the pairs whose gap is at most `gap`, m. If the pairs do not fit, there is no list."""
+    """Fill the list of near pairs with the pairs whose gap is at most `gap`, m.
+
+    If they do not fit into the array, there is no list.
+    """
     n, m = position.shape[0], np.int64(0)
     levels = sort_into_cells(position, radius, gap, cells)
     remember(position, gap, cells)
@@ -327,7 +350,10 @@ def find_near(position, radius, gap, cells):
 
 @njit(cache=True, error_model="numpy")
 def _sort_run(values, start, stop):
-    """Sort values[start:stop], in place, by insertion; first with larger strides where there are many (Shell 1959)."""
+    """Sort values[start:stop], in place, by insertion.
+
+    Many values are first sorted with larger strides (Shell 1959).
+    """
     stride = 1
     while 9 * stride < stop - start:
         stride = 3 * stride + 1

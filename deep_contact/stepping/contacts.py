@@ -1,6 +1,7 @@
-"""Contacts: touching pairs, their geometry (narrow phase), and the impulses that they had a step before.
+"""Contacts: touching pairs, their geometry (narrow phase), and impulses that are carried over from the step before.
 
-What a function fills is handed to it, so that a run allocates its memory once. Conventions: `deep_contact.state`.
+Functions fill arrays that their caller passes, so that a run allocates its memory once. `deep_contact.state` states the
+conventions for normals and indices.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from deep_contact.stepping.segment_grid import segment_gap
 from deep_contact.stepping.segments import insert_pairs
 
 SMALLEST_DISTANCE = 5e-13
-"""Distance of two centres, over the sum of the radii, below which the normal is undefined: `parting` chooses one."""
+"""Distance of two centres, divided by the sum of the radii, below which the normal is undefined. `parting` then chooses
+one."""
 
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 """Golden angle, rad."""
@@ -28,11 +30,11 @@ class Walls(NamedTuple):
     """Geometry of the walls of the box."""
 
     box: tuple  # (x_min, y_min, x_max, y_max), m
-    skin: float  # skin of walls and segments, m
+    skin: float  # skin, m: distance from their surface at which walls and segments make contact
 
 
 def make_contacts(m):
-    """A buffer of m contacts, uninitialised: memory that is never written costs nothing."""
+    """Return `Contacts` for m contacts, uninitialised: memory that is never written costs nothing."""
     return Contacts(
         np.empty(m, np.int64), np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2)), np.empty(m),
         np.empty(m), np.empty(m), np.empty(m), np.empty(m),
@@ -45,7 +47,7 @@ more_contacts = njit(cache=True)(make_contacts)
 
 @njit(cache=True)
 def some_contacts(buffer, i, j):
-    """Contacts i to j − 1 of a buffer, as views."""
+    """Return contacts i to j − 1 of a buffer, as views."""
     return Contacts(
         buffer.body_a[i:j], buffer.body_b[i:j], buffer.position[i:j], buffer.normal[i:j], buffer.separation[i:j],
         buffer.normal_impulse[i:j], buffer.tangent_impulse[i:j], buffer.normal_start[i:j], buffer.tangent_start[i:j],
@@ -54,16 +56,17 @@ def some_contacts(buffer, i, j):
 
 @njit(cache=True, error_model="numpy")
 def write_pairs(position, radius, walls, cells, body_a, body_b):
-    """Test of the narrow phase: write all touching pairs, sorted by (body_a, body_b), into `body_a` and `body_b`.
+    """Write all touching pairs, circle and circle or circle and wall, into `body_a` and `body_b`.
 
-    position: (n, 2), m. radius: (n,), m. walls: `Walls`. body_b is a circle, or n + wall. cells: `Cells`, after
-    `refresh_list` at these positions; a list saves work and changes no pair. Returns the number of pairs, or -1 if they
-    do not fit.
+    The pairs are sorted by (body_a, body_b). position: (n, 2), m. radius: (n,), m. walls: `Walls`. A wall has the index
+    n + wall in body_b. cells: `Cells`, after `refresh_list` at these positions; a list saves work and changes no pair.
+    Returns the number of pairs, or -1 if they do not fit.
     """
     n, m = position.shape[0], np.int64(0)
     if cells.memory[0]["pairs"] >= 0:
         return write_near_pairs(position, radius, walls, cells, body_a, body_b)
-    # A position that is not finite has no cell, and would be written outside of the arrays. The run raises an error.
+    # A position that is not finite has no cell, and sorting it would write outside of the arrays. The run raises an
+    # error later.
     if n == 0 or not math.isfinite(sum_of(position)):
         return 0
     levels = sort_into_cells(position, radius, 0.0, cells)
@@ -79,10 +82,10 @@ def write_pairs(position, radius, walls, cells, body_a, body_b):
 
 @njit(cache=True, error_model="numpy")
 def write_near_pairs(position, radius, walls, cells, body_a, body_b):
-    """`write_pairs` from the list of near pairs.
+    """Do `write_pairs` from the list of near pairs.
 
-    Every pair is written, and overwritten by the next pair if it does not touch, which avoids a branch that cannot be
-    predicted. On unsigned indices see `batches.choose_batches`.
+    Every near pair is written, and overwritten by the next pair if it does not touch. This avoids a branch that cannot
+    be predicted. `batches.choose_batches` explains the unsigned indices.
     """
     n = position.shape[0]
     first, near, m = cells.first, cells.near, np.int64(0)
@@ -107,7 +110,10 @@ def write_near_pairs(position, radius, walls, cells, body_a, body_b):
 
 @njit(cache=True)
 def write_walls(x, y, reach, box, n, body_b, m):
-    """Write the walls within `reach`, m, of the centre (x, y) from place m on. Returns the place after the last."""
+    """Write the walls that a circle touches into `body_b`, from place m on. Returns the place after the last wall.
+
+    x, y: centre of the circle, m. reach: its radius plus the skin, m. A wall is written as n + wall.
+    """
     reach *= NEARLY
     for wall, gap in enumerate((y - box[1], box[2] - x, box[3] - y, x - box[0])):
         if gap <= reach:
@@ -118,10 +124,11 @@ def write_walls(x, y, reach, box, n, body_b, m):
 
 @njit(cache=True, error_model="numpy")
 def detect_contacts(position, radius, mass, walls, segments, cells, buffer):
-    """All contacts at these positions, sorted by (body_a, body_b); their impulses and starts are not initialised.
+    """Find all contacts at these positions, sorted by (body_a, body_b), with their geometry.
 
-    position: (n, 2), m. radius: (n,), m. mass: (n,), kg; None where no circle is fixed. walls: `Walls`. segments:
-    `Segments`. cells, buffer: work arrays. Returns views of the buffer, or of a larger one.
+    Their impulses and starting impulses are not initialised. position: (n, 2), m. radius: (n,), m. mass: (n,), kg, or
+    None if no circle is fixed. walls: `Walls`. segments: `Segments`, or None. cells, buffer: work arrays. Returns views
+    of the buffer, or of a larger one.
     """
     refresh_list(position, radius, cells, 0.0)
     contacts = find_pairs(position, radius, mass, walls, segments, cells, buffer)
@@ -131,7 +138,7 @@ def detect_contacts(position, radius, mass, walls, segments, cells, buffer):
 
 @njit(inline="always")
 def find_pairs(position, radius, mass, walls, segments, cells, buffer):
-    """`find_contacts` after `refresh_list` at these positions, without the geometry of the contacts."""
+    """Find the pairs of `detect_contacts`, without their geometry. `cells` are those after `refresh_list`."""
     while True:
         m = write_pairs(position, radius, walls, cells, buffer.body_a, buffer.body_b)
         if segments is not None:
@@ -139,16 +146,16 @@ def find_pairs(position, radius, mass, walls, segments, cells, buffer):
                 m = insert_pairs(position, radius, walls, segments, buffer.body_a, buffer.body_b, m)
         if m >= 0:
             break
-        # Only a heap of overlapping circles has so many pairs.
+        # The buffer is too short. Only a heap of overlapping circles has so many pairs.
         buffer = more_contacts(2 * buffer.body_a.shape[0] + 64)
     return some_contacts(buffer, 0, without_fixed(buffer.body_a, buffer.body_b, mass, m))
 
 
 @njit(cache=True)
 def without_fixed(body_a, body_b, mass, m):
-    """Drop the pairs without a free circle from the first m pairs, in place. Returns the number of the other pairs.
+    """Drop the pairs without a free circle from the first m pairs, in place. Returns the number of remaining pairs.
 
-    mass: None where no circle is fixed.
+    mass: (n,), kg, or None if no circle is fixed.
     """
     if mass is None:
         return m
@@ -162,9 +169,10 @@ def without_fixed(body_a, body_b, mass, m):
 
 @njit(cache=True, error_model="numpy")
 def write_geometry(position, radius, walls, segments, contacts, least):
-    """Narrow phase: normal, separation and point (the middle of the overlap) of contacts, in place.
+    """Write the normal, separation and contact point of each contact, in place (narrow phase).
 
-    least: contacts with a smaller body_b are left out: 0 writes all contacts, n those with walls and segments.
+    The contact point is the middle of the overlap. least: contacts with body_b < least are left out. With 0 all
+    contacts are written; with n, only contacts with walls and segments.
     """
     n = position.shape[0]
     for i in range(contacts.body_a.shape[0]):
@@ -197,11 +205,11 @@ def write_geometry(position, radius, walls, segments, contacts, least):
 
 @njit(cache=True, error_model="numpy")
 def parting(a, b):
-    """Unit normal from circle a to circle b if their centres coincide: as if circle i lay at √i on the golden spiral.
+    """Return a unit normal from circle a to circle b for coinciding centres.
 
-    A heap of circles in one place then separates as a disc, and no two circles in one direction (H. Vogel 1979, A
-    better way to construct the sunflower head, Mathematical Biosciences 44). Circles 0 and 1 separate along +x, as in
-    Box2D.
+    It is the direction from point a to point b of a golden spiral, whose point i has the radius √i. A heap of circles
+    in one place therefore spreads to a disc, and no two circles move in one direction (H. Vogel 1979, A better way to
+    construct the sunflower head, Mathematical Biosciences 44). Circles 0 and 1 separate along +x, as in Box2D.
     """
     x_a, y_a = math.sqrt(a) * math.cos((a - 1) * GOLDEN_ANGLE), math.sqrt(a) * math.sin((a - 1) * GOLDEN_ANGLE)
     x_b, y_b = math.sqrt(b) * math.cos((b - 1) * GOLDEN_ANGLE), math.sqrt(b) * math.sin((b - 1) * GOLDEN_ANGLE)
@@ -211,7 +219,10 @@ def parting(a, b):
 
 @njit(cache=True)
 def wall_gap(x, y, box, wall):
-    """Distance from a point to a wall, m."""
+    """Return the distance of a point from a wall, m, negative outside of the box.
+
+    wall: BOTTOM, RIGHT, TOP or LEFT.
+    """
     if wall == BOTTOM:
         return y - box[1]
     if wall == RIGHT:
@@ -223,16 +234,16 @@ def wall_gap(x, y, box, wall):
 
 @njit(cache=True)
 def carry_impulses(old, contacts, warm):
-    """Built-in warm starting: give every contact, in place, the impulses its pair of bodies had a step before.
+    """Copy the impulses of each pair from the step before to the next step, in place: the built-in warm start.
 
-    old: the contacts of the step before with their solved impulses. contacts: those of the next step, whose starts and
-    impulses are written: 0 for new pairs, and starts of 0 for all pairs without `warm`. Both lists are sorted, so one
-    pass over them finds all matches.
+    old: contacts of the step before, with their solved impulses. contacts: contacts of the next step, whose impulses
+    and starting impulses are written. A new pair gets 0. If `warm` is false, all starting impulses are 0. Both lists
+    are sorted, so that one pass over them finds all common pairs.
     """
     j, last = 0, old.body_a.shape[0]
     for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
-        # Most contacts have the same predecessor in both lists, so this branch is predicted well.
+        # In most cases the next contact of both lists is one pair, so that this branch is predicted well.
         if j >= last or old.body_a[j] != a or old.body_b[j] != b:
             while j < last and (old.body_a[j] < a or (old.body_a[j] == a and old.body_b[j] < b)):
                 j += 1
@@ -246,7 +257,10 @@ def carry_impulses(old, contacts, warm):
 
 @njit(cache=True)
 def mass_if_fixed(bodies, actuation):
-    """The masses if circles may be fixed, that is, in a scene with actuation; otherwise None."""
+    """Return the masses of the circles, (n,), kg, if circles may be fixed, and otherwise None.
+
+    Circles may be fixed only in a scene with actuation. actuation: `Actuation`, or None.
+    """
     if actuation is None:
         return None
     return bodies.mass

@@ -1,4 +1,7 @@
-"""Convergence of a solve: θ after each sweep, and why sweeping ended."""
+"""Convergence of a solve: θ after each sweep, and why the sweeps ended.
+
+Tests: tests/stepping/test_rows.py
+"""
 
 from __future__ import annotations
 
@@ -24,10 +27,11 @@ class ConvergenceRecord(NamedTuple):
     | status | "converged": the last θ is within the tolerance; "max_sweeps": it is not, or there   |
     |        | was no tolerance; "diverged": it is not finite, and sweeping ended there;            |
     |        | "no_contacts": there was nothing to solve                                            |
-    | shifts | momentum from gravity and pushes beyond Δt (m g + f) in a step, (n, 2), N·s, which   |
-    |        | `on_step` gets if e > 0; None otherwise                                              |
+    | shifts | momentum that gravity and external forces add to the circles in a step beyond        |
+    |        | Δt (m g + f), (n, 2), N·s; only for `on_step` and if e > 0, otherwise None           |
 
-    θ is a stopping rule, not an error: slow convergence has small steps. For errors see `stepping.metrics`.
+    θ is a stopping criterion and no error: if convergence is slow, θ is small far from the solution. For errors see
+    `stepping.metrics`.
     """
 
     theta: np.ndarray
@@ -41,7 +45,10 @@ class ConvergenceRecord(NamedTuple):
 
 
 def convergence_record(theta: np.ndarray, solver, n_contacts: int, shifts=None) -> ConvergenceRecord:
-    """Record of a solve from the θ of its sweeps, the solver's options, the number of contacts, and shifts."""
+    """Return the record of a solve. theta: θ of each sweep, N·s. solver: its options. n_contacts: number of contacts.
+
+    shifts: as in `ConvergenceRecord`.
+    """
     if n_contacts == 0:
         status = "no_contacts"
     elif solver.tolerance is not None and theta.size and theta[-1] <= solver.tolerance:
@@ -54,11 +61,11 @@ def convergence_record(theta: np.ndarray, solver, n_contacts: int, shifts=None) 
 
 
 def mean_theta(thetas: Iterable[np.ndarray], sweeps: int) -> np.ndarray:
-    """Average convergence rate of a simulation, Eq 2.30: the mean over its steps of θ after each sweep.
+    """Return the average convergence rate of a simulation, Eq 2.30: the mean over its steps of θ after each sweep.
 
-    thetas: an array of θ for each step. A step that stopped before `sweeps` keeps its last θ for the rest: leaving it
-    out of the mean, as the thesis's own code did, would average over the slow steps only.
-    Returns (sweeps,), N·s. Raises ValueError if there is no step, or one without sweeps.
+    thetas: for each step, θ after each of its sweeps, N·s. A step that stopped before `sweeps` sweeps counts with its
+    last θ in the remaining sweeps. The thesis's own code leaves it out there, so that its means are over the slow steps
+    only. Returns (sweeps,), N·s. Raises ValueError if there is no step, or a step without sweeps.
     """
     rows = [theta[:sweeps] for theta in thetas]
     expect(rows, "thetas: expected at least one step, got none")
@@ -69,13 +76,13 @@ def mean_theta(thetas: Iterable[np.ndarray], sweeps: int) -> np.ndarray:
 
 @njit(cache=True)
 def is_over(theta, tolerance):
-    """Whether sweeping ends: θ is within the tolerance, or not finite."""
+    """Return whether sweeping ends: θ, N·s, is at most the tolerance, or not finite."""
     return theta <= tolerance or not math.isfinite(theta)
 
 
 @njit(cache=True, fastmath={"reassoc"})
 def all_finite(solver_bodies):
-    """Whether all velocities are finite. The fast-math flag lets the sum vectorise."""
+    """Return whether all numbers of an array are finite. The fast-math flag lets the sum vectorise."""
     total, numbers = 0.0, solver_bodies.reshape(-1)
     for i in range(numbers.shape[0]):
         total += 0.0 * numbers[i]  # 0 times an infinite number is NaN
@@ -84,6 +91,9 @@ def all_finite(solver_bodies):
 
 @njit(cache=True)
 def mark_divergence(solver_bodies, theta, sweeps):
-    """Set the last θ to NaN if any velocity is not finite: the maximum over impulses need not show it."""
+    """Set the last θ to NaN if a velocity is not finite, which the impulses alone do not always show.
+
+    theta: θ of each sweep. sweeps: number of sweeps that were done.
+    """
     if sweeps > 0 and not all_finite(solver_bodies):
         theta[sweeps - 1] = np.nan

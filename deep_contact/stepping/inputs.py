@@ -1,4 +1,7 @@
-"""What the steps of a run read of its state: `step_input`."""
+"""Makes the input of a run's steps from a state: `step_input`.
+
+Tests: tests/behaviour/test_scene_requirements.py, tests/stepping/test_substeps_by_motion.py
+"""
 
 from __future__ import annotations
 
@@ -12,18 +15,22 @@ from deep_contact.stepping.segment_grid import segments_in_grid
 
 
 def leaves_tangents_out(state: State, solver) -> bool:
-    """Whether a step has no tangent rows: μ = 0, no contact starts from a tangent impulse, and the loop allows it."""
+    """Return whether a step has no tangent rows.
+
+    It has none if μ = 0, no contact starts from a tangent impulse, and the solver has no step of its own.
+    """
     return state.world.friction == 0 and entry_of(solver).advance is None and not state.contacts.tangent_start.any()
 
 
 UNDIVIDED = SolverOptions()
-"""The options of a step that is solved once."""
+"""Options for a step without substeps."""
 
 
 def step_input(state: State, solver, scales: ContactScales | None = None) -> StepInput:
-    """The `StepInput` of the next steps of a state; it shares the state's arrays.
+    """Return the `StepInput` of the next steps of a state. It shares the state's arrays.
 
-    solver: None for rows with tangents, an undivided step and the state's own scales.
+    solver: options of the solver; None stands for rows with tangents, a step without substeps, and the state's own
+    scales. scales: `ContactScales`; by default those of the state with the solver's slop.
     """
     world, options = state.world, UNDIVIDED if solver is None else solver
     friction = None if solver is not None and leaves_tangents_out(state, solver) else world.friction
@@ -43,7 +50,10 @@ def step_input(state: State, solver, scales: ContactScales | None = None) -> Ste
 
 
 def actuation_of(state: State) -> Actuation | None:
-    """Kinematics and external force of a state's next step; None without moving segments, fixed circles and pushes."""
+    """Return the kinematics and external forces of a state's next step.
+
+    Returns None if there are no moving segments, no fixed circles and no external forces.
+    """
     (force, torque), world, n = state.push or (None, None), state.world, state.bodies.count
     if force is None and not world.segment_velocities and not state.bodies.is_fixed.any():
         return None
@@ -54,11 +64,11 @@ def actuation_of(state: State) -> Actuation | None:
 
 
 def reach_of(state: State, scales: ContactScales) -> float:
-    """Largest distance from a segment at which the centre of a circle has a contact with it, m."""
+    """Return the largest distance from a segment at which the centre of a circle has a contact with it, m."""
     return float(state.bodies.radius.max(initial=0.0)) + scales.wall_skin
 
 
 def scales_of(state: State, solver) -> ContactScales:
-    """The scales of a state with the solver's slop."""
+    """Return the scales of a state, with the slop multiplied by the solver's option `slop`."""
     slop, scales = solver.slop, state.scales
     return scales if slop == 1.0 else scales._replace(slop=slop * scales.slop)

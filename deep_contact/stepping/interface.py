@@ -1,10 +1,10 @@
-"""The interface of a solver: its options, and the registry of the settings and loops that belong to them.
+"""The interface of a solver: its options, and the registry of solvers.
 
-A solver is one file: its options (a frozen dataclass, a subclass of `SolverOptions`, that tells its weakness and
-source), its settings (a named tuple: the options as compiled code takes them), its loop, and one call of `register`.
-The type of the settings picks the loop when the step is compiled, so that a run compiles no other solver and makes no
-choice between steps. A solver from outside this package registers in the same way;
-`tests/stepping/test_interface.py` has an example.
+A solver is one file with four parts. Its options are a frozen dataclass, a subclass of `SolverOptions`, whose docstring
+states weakness and source. Its settings are a NamedTuple: the options in the form for compiled code. The third part is
+a loop of sweeps, and the fourth is one call of `register`. The type of the settings selects the loop when the step is
+compiled. A run therefore compiles no other solver, and makes no choice between steps. A solver from outside this
+package registers in the same way; `tests/stepping/test_interface.py` has an example.
 """
 
 from __future__ import annotations
@@ -28,12 +28,13 @@ MOST_SWEEPS = 10_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class SweepOptions:
-    """When the velocity sweeps of a solve end.
+    """Options that end the velocity sweeps of a solve.
 
-    sweeps: the most velocity sweeps of a solve.
-    tolerance: the sweeps end once θ, the largest change of an impulse in the last sweep, N·s, is no larger. None sweeps
-    to the end. "scene" takes 6e-5 N·s times the scene's m g Δt over the thesis's (`scales.theta_tolerance`).
-    Raises ValueError naming the option and its value.
+    sweeps: largest number of velocity sweeps in a solve.
+    tolerance: the sweeps end once θ, the largest change of an impulse in the last sweep, is at most this, N·s. With
+    None all sweeps are done. With "scene" the tolerance is 6e-5 N·s times a factor: the scene's m g Δt over that of the
+    thesis's scene (`scales.theta_tolerance`).
+    Raises ValueError, which names the option and its value.
     """
 
     sweeps: int = 3000
@@ -47,20 +48,20 @@ class SweepOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class SolverOptions(SweepOptions):
-    """The base of the options of every solver: `SweepOptions`, and how a time step is divided around its solves.
+    """The options that all solvers share: `SweepOptions`, position correction, and the division of a time step.
 
-    position_sweeps: the most sweeps of position correction in a substep.
-    substeps: the number of substeps of every step of a run. Each has sweeps and position sweeps of its own (Macklin et
-    al., Small Steps in Physics Simulation, 2019). Contacts carry the impulses of the last substep times `substeps`, so
-    that a start fits any division of Δt. Where `substeps` is a power of two, a run that is read back goes on bit for
-    bit.
-    most_substeps: the most substeps of a step in which something is about to hit, `substeps` times a power of two; by
-    default `substeps`. A tolerance is that of the longest substep.
-    approach: how far what hits may move in a substep, in mean radii. It decides the number of substeps up to
-    `most_substeps` (`stepping.substeps`).
-    slop: the penetration that position correction leaves alone, in units of the scene's (`scales`). With a small slop
-    and one substep a pile may tremble; with a quarter, two substeps are enough.
-    Raises ValueError naming the option and its value.
+    position_sweeps: largest number of sweeps of position correction in a substep.
+    substeps: number of substeps of every step of a run. Each substep has sweeps and position sweeps of its own (Macklin
+    et al., Small Steps in Physics Simulation, 2019). Contacts store the impulses of the last substep times `substeps`,
+    so that they fit as a start for any division of Δt. If `substeps` is a power of two, a run that is read back from a
+    file goes on bit for bit.
+    most_substeps: largest number of substeps of a step in which circles are about to collide, `substeps` times a power
+    of two; by default `substeps`. A tolerance holds for the longest substep, and is not reduced for shorter ones.
+    approach: largest displacement in a substep of a circle that is about to collide, in mean radii. The number of
+    substeps follows from it, up to `most_substeps` (`stepping.substeps`).
+    slop: penetration that position correction leaves, in units of the scene's slop (`scales`). With a small slop and
+    one substep a pile may tremble; with a slop of a quarter, two substeps are enough.
+    Raises ValueError, which names the option and its value.
     """
 
     position_sweeps: int = 10
@@ -83,11 +84,13 @@ class SolverOptions(SweepOptions):
 
     @property
     def motion_parts(self) -> int:
-        """The most parts into which motion divides each of the `substeps`: a power of two."""
+        """Largest number of parts into which motion divides each of the `substeps`: a power of two."""
         return 1 if self.most_substeps is None else self.most_substeps // self.substeps
 
     def for_state(self, state: State) -> SolverOptions:
-        """The options with the tolerance of a substep in N·s, if it follows the scene."""
+        """Return the options with a number, N·s, in place of the tolerance "scene": the tolerance of a substep in this
+        state.
+        """
         if self.tolerance != FOLLOWS_SCENE:
             return self
         bodies = state.bodies
@@ -98,14 +101,16 @@ class SolverOptions(SweepOptions):
 
 
 class Loop(NamedTuple):
-    """A compiled loop of sweeps, chosen by the type of its settings.
+    """A compiled loop of sweeps. The type of the settings selects it.
 
-    settings: type, a NamedTuple with at least `tolerance`, the θ at which to stop, N·s; a negative one is never met.
-    relax: compiled function (settings, rows, friction, solver_bodies, theta, workspace) -> number of sweeps. It works
-    in place on `rows.impulse` and on the solver bodies, which stay v + M⁻¹ Jᵀ λ; writes the θ of each sweep; stops
-    where `convergence.is_over` says so, at the latest after theta.shape[0] sweeps.
+    settings: type, a NamedTuple with at least `tolerance`, the θ at which the sweeps end, N·s. A negative tolerance is
+    never reached.
+    relax: compiled function (settings, rows, friction, solver_bodies, theta, workspace) -> number of sweeps. It changes
+    `rows.impulse` and the velocities of the solver bodies in place, so that the latter stay v + M⁻¹ Jᵀ λ. It writes θ
+    of each sweep into `theta`. It ends if `convergence.is_over` is true, at the latest after theta.shape[0] sweeps.
     workspace: compiled function (rows, solver_bodies) -> work arrays of `relax`, made once a run; or None.
-    counts_relaxations: whether `relax` returns (sweeps, relaxations). If not, each sweep relaxes every contact once.
+    counts_relaxations: whether `relax` returns (sweeps, relaxations of a contact). If not, each sweep relaxes every
+    contact once.
     """
 
     settings: type
@@ -115,37 +120,39 @@ class Loop(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """A registered solver: see `register`."""
+    """A registered solver: the functions `settings` and `advance` of `register`."""
 
     settings: Callable
     advance: Callable | None
 
     @property
     def can_sleep(self) -> bool:
-        """Whether islands can sleep in the steps of this solver."""
+        """Whether islands of contacts can fall asleep in the steps of this solver."""
         return self.advance is None
 
 
 METHODS: dict[str, type] = {}
-"""Name in a state file -> options class."""
+"""Name of a solver in a state file -> class of its options."""
 
 COMPILED_IN = """
 import deep_contact.solvers
 """
-"""The loops that `relax` calls are registered there, above this folder. The code cache takes the line for an import, so
-that a step is compiled again once a loop has changed."""
+"""A text with an import of the module that registers the loops of `relax`. This module must not import it, since it
+lies above this folder. The code cache reads the line as an import, so that a step is compiled again once a loop has
+changed."""
 
 _ENTRIES: dict[type, Entry] = {}
 _LOOPS: dict[type, Loop] = {}
 
 
 def register(options: type, settings: Callable, loops: tuple[Loop, ...], *, advance: Callable | None = None) -> None:
-    """Make a solver known, under the name of its options.
+    """Register a solver under the name of the class of its options.
 
-    options: frozen dataclass, a subclass of `SolverOptions`. settings: function of the options -> NamedTuple of a type
-    that one of the loops has. advance: function of the options -> function in place of `algorithm.advance`, for a step
-    of its own, which always has tangent rows and puts nothing to sleep.
-    Raises ValueError if another solver has that name, and where the options are not a subclass of `SolverOptions`.
+    options: frozen dataclass, a subclass of `SolverOptions`. settings: function of the options -> settings, a
+    NamedTuple whose type belongs to one of the loops. loops: the solver's loops. advance: function of the options ->
+    function in place of `algorithm.advance`, for a solver with a step of its own. Such a step always has tangent rows,
+    and no island sleeps in it. Raises ValueError if another solver has that name, or if the options are not a subclass
+    of `SolverOptions`.
     """
     expect(issubclass(options, SolverOptions), f"options: expected a subclass of SolverOptions, got {options.__name__}")
     if METHODS.setdefault(options.__name__, options) is not options:
@@ -156,7 +163,7 @@ def register(options: type, settings: Callable, loops: tuple[Loop, ...], *, adva
 
 
 def entry_of(solver) -> Entry:
-    """The entry of a solver's options. Raises ValueError if these are not the options of a registered solver."""
+    """Return the entry of a solver's options. Raises ValueError if no solver is registered for them."""
     entry = _ENTRIES.get(type(solver))
     if entry is None:
         raise ValueError(
@@ -166,9 +173,9 @@ def entry_of(solver) -> Entry:
 
 
 def tolerance_argument(solver) -> float:
-    """The tolerance as compiled functions take it: −1, which is never met, in place of None.
+    """Return the tolerance for compiled functions, N·s: −1, which is never reached, in place of None.
 
-    Raises ValueError if the tolerance follows the scene: `for_state` gives the number.
+    Raises ValueError if the tolerance is "scene", which `for_state` replaces by a number.
     """
     if solver.tolerance == FOLLOWS_SCENE:
         raise ValueError(f"tolerance: expected a number or None, of solver.for_state(state), got {solver.tolerance!r}")
@@ -176,10 +183,10 @@ def tolerance_argument(solver) -> float:
 
 
 def solver_from(method: str, options: Mapping):
-    """The solver of a file, from its method and options.
+    """Return the options of a solver in a file. method: name of the solver. options: name -> value.
 
-    Old files name a precision, which is always double, threads, which change no bit, and `islands` of solvers that do
-    not have it, which is always False.
+    Old files may have three more options: a precision, which is always double; a number of threads, which changes no
+    bit; and `islands`, always False, of solvers without islands. They are left out.
 
     Raises ValueError for an unknown method, for an unknown option, and for values that the method refuses.
     """
@@ -195,27 +202,31 @@ def solver_from(method: str, options: Mapping):
 
 
 def describe(solver) -> str:
-    """The solver and the options that differ from the defaults, "NNCG(sweeps=20, tolerance=None)"."""
+    """Return a solver as text, with the options that differ from their defaults.
+
+    For example: "NNCG(sweeps=20, tolerance=None)".
+    """
     changed = [f for f in fields(solver) if getattr(solver, f.name) != f.default]
     return f"{type(solver).__name__}({', '.join(f'{f.name}={getattr(solver, f.name)!r}' for f in changed)})"
 
 
 def make_workspace(settings, rows, solver_bodies):
-    """Work arrays of the loop for rows and solver bodies of this size; None if the loop needs none."""
+    """Return work arrays of the loop for rows and solver bodies of this size; None if the loop needs none."""
     return _make_workspace(type(settings))(settings, rows, solver_bodies)
 
 
 def relax(settings, rows, friction, solver_bodies, theta, workspace):
-    """Relax all contacts, in place, by the loop of the settings. Returns (sweeps, relaxations).
+    """Relax all contacts, in place, by the loop of the settings.
 
-    rows: `Rows`. friction: μ, or None for rows without tangents. solver_bodies: (N, 4). theta: buffer for the θ of
-    each sweep; its length is the largest number of sweeps. workspace: of `make_workspace`.
+    Returns (number of sweeps, number of relaxations of a contact). rows: `Rows`. friction: μ, or None for rows without
+    tangents. solver_bodies: (N, 4). theta: buffer for the θ of each sweep, N·s; its length is the largest number of
+    sweeps. workspace: from `make_workspace`.
     """
     return _relax(type(settings))(settings, rows, friction, solver_bodies, theta, workspace)
 
 
-# Compiled callers resolve the two functions above by the type of the settings; Python callers, and everything under
-# NUMBA_DISABLE_JIT=1, run them as they stand.
+# In compiled callers, Numba replaces the two functions above by a loop that the type of the settings selects. Python
+# callers, and all callers under NUMBA_DISABLE_JIT=1, run them as they stand.
 @overload(make_workspace)
 def _overload_make_workspace(settings, rows, solver_bodies):
     return _make_workspace(settings.instance_class)

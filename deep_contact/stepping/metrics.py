@@ -1,8 +1,9 @@
-"""Errors of the solution of a step, each defined once, with its unit and source.
+"""Errors of the solution of a step, with unit and source, and quantities that they are computed from.
 
-θ is no error: a method that creeps takes small steps far from the solution. A solution is compared with the contact
-problem itself (`residual`: what is left unsolved) and with an exact solution, as `analysis.exact` finds it
-(`velocity_error`). Impulses are not compared: with friction, many impulses of a pile give the same velocities.
+θ is no error: it is small for a slowly converging method even far from the solution. Two errors are defined. `residual`
+measures how far a solution is from solving the contact problem. `velocity_error` compares it with an exact solution, as
+`analysis.exact` finds it. Impulses are not compared, because with friction many impulses of a pile give equal
+velocities.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from deep_contact.stepping.segments import ground_velocities
 
 
 def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
-    """v⁻ = v + Δt M⁻¹ F before contacts, after impacts: velocities (n, 2), m/s, and spins (n,), rad/s (Eq 2.27).
+    """Return the velocities v⁻ = v + Δt M⁻¹ F before contact impulses: (n, 2), m/s, and spins (n,), rad/s (Eq 2.27).
 
-    F: forces of gravity and pushes.
+    v: velocities after the impacts of the step. F: gravity and external forces.
     """
     after, _ = after_impacts(state)
     bodies = after.bodies
@@ -30,26 +31,28 @@ def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
 
 
 def kinetic_energy(bodies: Bodies) -> float:
-    """Kinetic energy of all circles, translation and rotation, J."""
+    """Return the kinetic energy of all free circles, of translation and rotation, J."""
     bodies = bodies._replace(mass=bodies.free_mass)
     linear = np.einsum("i,ij,ij->", bodies.mass, bodies.velocity, bodies.velocity)
     return float(0.5 * (linear + bodies.inertia @ bodies.spin**2))
 
 
 def energy_norm(bodies: Bodies, velocity: np.ndarray, spin: np.ndarray) -> float:
-    """‖(v, ω)‖_M = √(Σ m |v|² + I ω²), √J: √2 times the root of the kinetic energy.
+    """Return ‖(v, ω)‖_M = √(Σ m |v|² + I ω²), √J: √2 times the square root of the kinetic energy.
 
-    In this norm the frictionless contact problem is a projection (Moreau 1966). velocity: (n, 2), m/s. spin: (n,).
+    In this norm the frictionless contact problem is a projection (Moreau 1966). velocity: (n, 2), m/s. spin: (n,),
+    rad/s.
     """
     bodies = bodies._replace(mass=bodies.free_mass)
     return float(np.sqrt(bodies.mass @ (velocity**2).sum(axis=1) + bodies.inertia @ spin**2))
 
 
 def velocity_error(state: State, solution: ContactSolution, reference: ContactSolution) -> float:
-    """‖v − v*‖_M / ‖v* − v⁻‖_M, relative: the share of what contacts do to the velocities that is still wrong.
+    """Return ‖v − v*‖_M / ‖v* − v⁻‖_M: the share of what contacts do to the velocities that is still wrong.
 
-    1 is the error of doing nothing. v*: velocities of the reference; v⁻: `free_velocity`. If contacts do nothing at
-    all, the error is 0 for v = v*, and otherwise infinite.
+    v: velocities of the solution. v*: velocities of the reference. v⁻: `free_velocity`. Without any contact impulse,
+    the error is 1. If contacts do not change the velocities at all (v* = v⁻), the error is 0 for v = v*, and otherwise
+    infinite.
     """
     free, spin = free_velocity(state)
     spinning = solution.angular_velocities - reference.angular_velocities
@@ -61,9 +64,9 @@ def velocity_error(state: State, solution: ContactSolution, reference: ContactSo
 
 
 def _ends(state: State) -> tuple[np.ndarray, ...]:
-    """(a, b, arm of a, arm of b) of every contact, (m,) each, arms in m.
+    """Return (a, b, arm of a, arm of b) of every contact, (m,) each: indices of its bodies, and their arms, m.
 
-    Walls and segments are the four bodies behind the circles.
+    Four bodies behind the circles stand for the walls and all segments. Their arms are 0.
     """
     n, half = state.bodies.count, 0.5 * state.contacts.separation
     a, b = state.contacts.body_a, np.minimum(state.contacts.body_b, n + 3)
@@ -72,9 +75,9 @@ def _ends(state: State) -> tuple[np.ndarray, ...]:
 
 
 def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Relative velocities of the contacts along the normals and along the tangents, (m,) each, m/s.
+    """Return the relative velocities of the contacts along the normals and along the tangents, (m,) each, m/s.
 
-    They are J v, plus the velocities of segments and of their surfaces.
+    They are J v, plus the velocities of segments and of their surfaces. velocity: (n, 2), m/s. spin: (n,), rad/s.
     """
     (a, b, arm_a, arm_b), normal = _ends(state), state.contacts.normal
     v, w = np.vstack([velocity, np.zeros((4, 2))]), np.append(spin, np.zeros(4))
@@ -85,18 +88,19 @@ def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tupl
 
 
 def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Effective masses 1 / (J M⁻¹ Jᵀ) of the normal and of the tangent rows, (m,) each, kg."""
+    """Return the effective masses 1 / (J M⁻¹ Jᵀ) of the normal and of the tangent rows, (m,) each, kg."""
     a, b, arm_a, arm_b = _ends(state)
     w, i = np.append(1 / state.bodies.mass, np.zeros(4)), np.append(1 / state.bodies.inertia, np.zeros(4))
     return 1 / (w[a] + w[b]), 1 / (w[a] + w[b] + arm_a**2 * i[a] + arm_b**2 * i[b])
 
 
 def residual(state: State, solution: ContactSolution) -> float:
-    """Complementarity residual, m/s: the largest |λ − Π(λ − k u)| / k over all rows (the natural map).
+    """Return the complementarity residual, m/s: the largest |λ − Π(λ − k u)| / k over all rows (the natural map).
 
-    u: the row's velocity; k: its effective mass; Π puts λ_n above 0 and λ_t within ±μ λ_n. For a
-    normal row that is |min(λ_n / k, u_n)|: an approach that is left, or a pull apart that is still pushed. 0 in
-    every row is Eq 2.27 with Coulomb's law, Eq 2.29. (Cottle, Pang and Stone 1992, section 1.4; Erleben 2013.)
+    u: velocity of the row, m/s. k: its effective mass, kg. Π: limits λ_n to >= 0, and λ_t to ±μ λ_n. For a normal row
+    the number is |min(λ_n / k, u_n)|: the speed at which bodies still approach, or at which they separate although the
+    contact pushes. If it is 0 in every row, Eq 2.27 with Coulomb's law, Eq 2.29, is satisfied. (Cottle, Pang and Stone
+    1992, section 1.4; Erleben 2013.)
     """
     if state.contacts.count == 0:
         return 0.0
@@ -110,5 +114,8 @@ def residual(state: State, solution: ContactSolution) -> float:
 
 
 def penetration(state: State) -> float:
-    """Deepest penetration at the state's positions, m, into circles and into the skin of walls and segments."""
+    """Return the deepest penetration at the state's positions, m.
+
+    Circles penetrate other circles, and the skin of walls and segments.
+    """
     return float(max(0.0, -contacts_of(state).separation.min(initial=0.0)))

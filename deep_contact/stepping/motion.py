@@ -1,4 +1,7 @@
-"""Velocities and positions of circles over a substep: semi-implicit Euler, with limits of motion."""
+"""Integration of velocities and positions of circles over a substep: semi-implicit Euler, with limits of motion.
+
+Tests: tests/stepping/test_algorithm.py
+"""
 
 from __future__ import annotations
 
@@ -14,9 +17,9 @@ from deep_contact.stepping.segments import has_moving
 
 @njit(cache=True, error_model="numpy")
 def integrate_velocities(bodies, gravity, dt, solver_bodies, actuation):
-    """Fill the solver bodies, (n + 4, 4), with the velocities after Δt of gravity and pushes (v + Δt M⁻¹ F, Eq 2.27).
+    """Fill the solver bodies, (n + 4, 4), with the velocities after Δt of gravity and external forces.
 
-    actuation: `Actuation` of the step, or None.
+    These are v + Δt M⁻¹ F (Eq 2.27). gravity: (g_x, g_y), m/s². dt: Δt, s. actuation: `Actuation` of the step, or None.
     """
     n = bodies.mass.shape[0]
     for i in range(n):
@@ -37,12 +40,12 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies, actuation):
 
 @njit(cache=True, error_model="numpy")
 def integrate_positions(bodies, solver_bodies, step, segments, actuation, shifts):
-    """Write the solved velocities into the bodies and move them for Δt, in place (symplectic Euler).
+    """Copy the solved velocities to the bodies and move the bodies for Δt, in place (symplectic Euler).
 
-    Displacements and rotations are limited (`cut_motion`). Fast circles push on what they meet (`continuous`). step:
-    `StepInput`. segments: at the end of the step. actuation: `Actuation` of the step, or None. shifts: of `StepLog`.
-    Returns whether the bodies have moved. They have not if segments are None and a circle is fast, because the code for
-    continuous collision is then missing.
+    Displacements and rotations are limited (`cut_motion`). Fast circles push on the bodies that they meet
+    (`continuous`). step: `StepInput`. segments: `Segments` at the end of the step, or None. actuation: `Actuation` of
+    the step, or None. shifts: `StepLog.shifts`. Returns whether the bodies have moved. They have not if `segments` is
+    None and a circle is fast, because the code for continuous collision is then not compiled.
     """
     if segments is None:
         if any_fast(solver_bodies, bodies.radius, step.dt):
@@ -57,10 +60,10 @@ def integrate_positions(bodies, solver_bodies, step, segments, actuation, shifts
 
 @njit(cache=True, error_model="numpy")
 def move(bodies, solver_bodies, dt, max_translation):
-    """`integrate_positions` without continuous collision. Returns whether a circle is fast."""
+    """Do `integrate_positions` without continuous collision. Returns whether a circle is fast."""
     position, velocity, angle, spin = bodies.position, bodies.velocity, bodies.angle, bodies.spin
     farthest = widest = 0.0
-    # Loops without branches, so that several circles are moved at a time.
+    # Loops without branches, so that they vectorise.
     for i in range(angle.shape[0]):
         v_x, v_y, turn = solver_bodies[i, V_X], solver_bodies[i, V_Y], solver_bodies[i, V_S] / bodies.radius[i]
         velocity[i, 0], velocity[i, 1], spin[i] = v_x, v_y, turn
@@ -76,10 +79,10 @@ def move(bodies, solver_bodies, dt, max_translation):
 
 @njit(cache=True, error_model="numpy")
 def cut_motion(velocity, spin, dt, max_translation):
-    """Limit velocities and spins, in place, to the largest translation within Δt, m, and the largest rotation.
+    """Limit velocities and spins, in place, so that no circle translates or rotates too far within Δt.
 
-    The largest rotation is `MAX_ROTATION` if the scene has the fixed scales of Box2D. Otherwise only `FASTEST` limits
-    the spin.
+    max_translation: largest translation, m. The largest rotation is `MAX_ROTATION` if the scene has the fixed scales of
+    Box2D. Otherwise only `FASTEST` limits the spin. velocity: (n, 2), m/s. spin: (n,), rad/s. dt: Δt, s.
     """
     max_rotation = MAX_ROTATION if max_translation < dt * FASTEST else dt * FASTEST
     for i in range(spin.shape[0]):

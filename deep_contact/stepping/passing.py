@@ -1,14 +1,16 @@
-"""Moving segments pass over circles that bodies at rest hold in their way.
+"""Removes contacts of moving segments with blocked circles, so that the segments pass over these circles.
 
-A circle between a segment that moves towards it and walls, segments or fixed circles at rest cannot keep clear of both.
-A solver would let the impulses grow without end, and press the circle through one of them. The bodies at rest win: as
-long as no velocity of the circle keeps it clear of both, the moving segment has no contact with it, and passes over it.
-The run warns once.
+A circle is blocked if a segment moves towards it, and walls, segments or fixed circles at rest lie in its way. A solver
+would let the impulses grow without limit, and press the circle through one of the bodies. Here the bodies at rest have
+priority: as long as every velocity of the circle would violate a contact, the moving segment has no contact with it,
+and passes over it. The run warns once.
 
-With d the direction in which the segment pushes, and n_r the normals from the circle to the bodies at rest, such a
-velocity exists unless d = Σ λ_r n_r with λ_r ≥ 0 (Farkas's lemma): d is one of the normals, or lies between two of
-them. Friction is left out. Chains of circles are left out as well: if bodies at rest hold the last circle of a chain,
-its circles are pressed into each other.
+Let d be the direction in which the segment pushes, and n_r the normals from the circle to the bodies at rest. The
+circle is blocked if d = Σ λ_r n_r with λ_r ≥ 0 (Farkas's lemma). In the plane this means that d is one of the normals,
+or lies between two of them. Friction is neglected. Chains of circles are not detected: if bodies at rest block the last
+circle of a chain, its circles are pressed into each other.
+
+Tests: tests/behaviour/test_actuation.py, tests/stepping/test_continuous.py
 """
 
 from __future__ import annotations
@@ -23,15 +25,15 @@ from deep_contact.stepping.log import PASSED
 from deep_contact.stepping.segments import has_moving, moves, wall_velocity
 
 PARALLEL = 1e-3
-"""Largest angle, rad, between d and a normal that count as one direction."""
+"""Largest angle, rad, between d and a normal at which both count as one direction."""
 
 
 @njit(cache=True, error_model="numpy")
 def without_passed(contacts, bodies, segments, actuation, progress):
-    """The contacts without those of moving segments with circles that bodies at rest hold in their way, in place.
+    """Remove the contacts of moving segments with blocked circles, in place. Returns the remaining contacts.
 
-    contacts: at the bodies' positions, with geometry. segments: at the same time. progress: of `StepLog`; it records a
-    circle that has lost such a contact. actuation: `Actuation` of the step, or None.
+    contacts: at the bodies' positions, with geometry. segments: `Segments` at the same time. actuation: `Actuation` of
+    the step, or None. progress: `StepLog.progress`, in which a circle that has lost such a contact is recorded.
     """
     if not has_moving(actuation):
         return contacts
@@ -43,7 +45,7 @@ def without_passed(contacts, bodies, segments, actuation, progress):
             way[a, 0], way[a, 1], pushed = -contacts.normal[i, 0], -contacts.normal[i, 1], True
     if not pushed:
         return contacts
-    left, right = np.full(n, np.inf), np.full(n, np.inf)  # least angles of normals on both sides of d, rad
+    left, right = np.full(n, np.inf), np.full(n, np.inf)  # least angles of normals to the left and right of d, rad
     for i in range(m):
         a, b = contacts.body_a[i], contacts.body_b[i]
         if way[a, 0] != 0.0 or way[a, 1] != 0.0:
@@ -69,7 +71,7 @@ def without_passed(contacts, bodies, segments, actuation, progress):
 
 @njit(inline="always")
 def pushes(contacts, i, s, segments, actuation):
-    """Whether segment s moves towards the circle of the i-th contact."""
+    """Return whether segment s moves towards the circle of contact i."""
     if not moves(actuation.wall, s):
         return False
     v_x, v_y = wall_velocity(segments.line, actuation.wall, s, contacts.position[i, 0], contacts.position[i, 1])
@@ -78,7 +80,7 @@ def pushes(contacts, i, s, segments, actuation):
 
 @njit(inline="always")
 def rests(b, bodies, actuation):
-    """Whether body b is a wall, or a segment or fixed circle at rest."""
+    """Return whether body b is at rest: a wall, a segment that does not move, or a fixed circle with velocity 0."""
     n = bodies.mass.shape[0]
     if b >= n:
         return b < n + 4 or not moves(actuation.wall, b - n - 4)
@@ -87,9 +89,10 @@ def rests(b, bodies, actuation):
 
 @njit(inline="always")
 def note_normal(way, n_x, n_y, i, left, right):
-    """Update the least angles between the push on circle i and normals on its two sides, in place, by one normal.
+    """Update the least angles between the push on circle i and normals to its left and right, in place, by one normal.
 
-    way: direction of the push. n_x, n_y: normal from circle i to a body at rest.
+    way: direction of the push, (2,). n_x, n_y: normal from circle i to a body at rest. left, right: least angles of
+    each circle, (n,), rad.
     """
     angle = math.atan2(way[0] * n_y - way[1] * n_x, way[0] * n_x + way[1] * n_y)
     if angle >= -PARALLEL:

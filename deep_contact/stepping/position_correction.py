@@ -1,16 +1,17 @@
 """Position correction: penetrating bodies are pushed apart, and their velocities stay as they are.
 
-The method is the nonlinear Gauss-Seidel of Box2D 2.3: each contact in turn moves its two bodies, in proportion to their
-inverse masses, by a share of its present penetration beyond the slop. Circles do not turn.
+The method is the nonlinear Gauss-Seidel of Box2D 2.3. Each contact in turn moves its two bodies apart, by a share of
+its present penetration beyond the slop. The bodies move in proportion to their inverse masses. Circles do not rotate.
 
 Circles are pushed along the line of their centres. If many circles lie in almost the same place, each push changes the
-directions of the next pushes, and all circles would follow the first pair along one line. A pair whose line has turned
+directions of the next pushes, and all circles would follow the first pair along one line. A pair whose line has rotated
 by more than 60° since the narrow phase is therefore pushed along the normal of the narrow phase.
 
-`correct_tiles` corrects eight contacts at a time that share no circle. For this, contacts are sorted into levels: the
-level of a contact comes after those of all earlier contacts that share a circle with it, so that every circle meets its
-contacts in the order of the list. No product is fused with a sum. The result therefore has the same bits as contact by
-contact, and `correct_positions` takes the cheaper of the two.
+`correct_tiles` corrects eight contacts at a time that share no circle. For this, contacts are sorted into levels. The
+level of a contact comes after the levels of all earlier contacts that share a circle with it. Every circle therefore
+meets its contacts in the order of the list. No product is fused with a sum. The result is therefore equal, to the last
+bit, to that of `correct_in_turn`, which corrects one contact at a time. `correct_positions` chooses the cheaper of the
+two functions.
 """
 
 from __future__ import annotations
@@ -40,45 +41,51 @@ from deep_contact.stepping.contacts import SMALLEST_DISTANCE, wall_gap
 from deep_contact.stepping.segment_grid import segment_gap
 
 IDLE = 4
-"""Index of the idle body, which fills unused lanes, among the five bodies behind the circles; 0 to 3 are the walls."""
+"""Index of the idle body among the five bodies behind the circles; 0 to 3 are the walls. The idle body fills unused
+lanes of a tile of eight contacts."""
 
 _IDLE_RADIUS = 1e-200
-"""Radius of the idle body, m. It is not 0, so that the body coincides with itself, but never penetrates by a slop."""
+"""Radius of the idle body, m. With 0, a pair of idle bodies would not count as coinciding. With a larger radius, it
+could penetrate by more than the slop."""
 
 _HEAVY = 1e200
-"""Mass of a fixed circle in tiles, kg: its displacement lies far below rounding, and is not written back."""
+"""Mass of a fixed circle in tiles, kg. Its displacement is far below rounding, and is not written back."""
 
 TURNED = 0.5
-"""Cosine of the angle between the line of centres and the normal of the narrow phase, below which that normal is
-used."""
+"""Cosine of the angle between the line of centres and the normal of the narrow phase, below which a pair is pushed
+along this normal."""
 
 _FEW = 3
-"""Number of sweeps up to which levels do not pay: they cost about as much as three sweeps contact by contact."""
+"""Levels are used only for more sweeps than this: to sort contacts into levels costs about as much as three sweeps
+contact by contact."""
 
 _FILLED = 8
-"""Mean number of contacts in a level from which on tiles cost less: in a column each level is one contact."""
+"""Tiles are used only if the levels have, on average, at least this number of contacts. With fewer, correction contact
+by contact costs less. In a column each level has one contact."""
 
 _PATIENCE = 50
-"""Number of corrections contact by contact after levels were too empty: a pile does not widen in a few steps."""
+"""If the levels have too few contacts, they are not tried in this number of corrections: a pile does not widen in a few
+steps."""
 
 CORRECTION_MEMORY = np.dtype([("sweeps", np.int64), ("wait", np.int64)])
-"""Number of sweeps of the last correction, and of corrections until levels are tried again."""
+"""Memory of earlier corrections. sweeps: number of sweeps of the last correction. wait: number of corrections until
+levels are tried again."""
 
 
 class CorrectionWorkspace(NamedTuple):
-    """Buffers of `correct_positions` for n circles and M contacts."""
+    """Buffers of `correct_positions` for n circles, M contacts and T tiles of eight contacts."""
 
-    level: np.ndarray  # (n,): for each circle, the first level without a contact of it
+    level: np.ndarray  # (n,): for each circle, the level after those of its contacts so far
     batch: np.ndarray  # (M,): level of each contact
-    fill: np.ndarray  # (M,): for each level, the number of its contacts, and then its next free place
-    body: np.ndarray  # (T, 2, 8): a, b as rows of `centre`, eight contacts a tile
-    normal: np.ndarray  # (T, 2, 8): normals of these contacts
-    centre: np.ndarray  # (n + 5, 4): the circles, and the five bodies of `fill_ground`
+    fill: np.ndarray  # (M,): number of contacts in each level; later its next free place
+    body: np.ndarray  # (T, 2, 8): bodies a and b of the contacts, as rows of `centre`
+    normal: np.ndarray  # (T, 2, 8): normals of these contacts, from the narrow phase
+    centre: np.ndarray  # (n + 5, 4): x, y, radius, mass of the circles and of the bodies of `fill_ground`
     memory: np.ndarray  # (1,): `CORRECTION_MEMORY`
 
 
 def make_correction_workspace(n, capacity):
-    """Buffers for n circles and `capacity` contacts."""
+    """Return buffers for n circles and `capacity` contacts."""
     tiles = capacity // WIDTH + capacity // _FILLED + 1
     return CorrectionWorkspace(
         np.empty(n, np.int64), np.empty(capacity, np.int64), np.empty(capacity, np.int64),
@@ -92,10 +99,11 @@ _larger_workspace = njit(cache=True)(make_correction_workspace)
 
 @njit(cache=True, error_model="numpy")
 def correct_positions(bodies, contacts, box, segments, scales, sweeps, workspace):
-    """Push the circles apart, in place, until none penetrates deeper than three slops, or `sweeps` sweeps are done.
+    """Push the circles apart, in place, until no penetration exceeds three slops, or `sweeps` sweeps are done.
 
-    workspace: `CorrectionWorkspace`. Its memory of earlier corrections decides which way is cheaper, and changes no bit
-    of the result. Tiles support walls but no segments, so that scenes with segments are corrected contact by contact.
+    box: (x_min, y_min, x_max, y_max), m. scales: `ContactScales`. workspace: `CorrectionWorkspace`. Its memory of
+    earlier corrections decides whether the contacts are corrected in tiles or in turn, and changes no bit of the
+    result. Tiles support walls but no segments, so that scenes with segments are corrected contact by contact.
     """
     n, m, memory = bodies.mass.shape[0], contacts.body_a.shape[0], workspace.memory[0]
     if m > workspace.batch.shape[0]:
@@ -129,7 +137,7 @@ def correct_positions(bodies, contacts, box, segments, scales, sweeps, workspace
 
 @njit(cache=True, error_model="numpy")
 def correct_in_turn(bodies, contacts, box, segments, scales):
-    """One sweep of position correction, contact by contact, in place. Returns the deepest separation, m, or 0."""
+    """Do one sweep of position correction, contact by contact, in place. Returns the deepest separation, m, or 0."""
     n = bodies.mass.shape[0]
     position, radius, mass = bodies.position, bodies.radius, bodies.mass
     slop, skin, longest = scales.slop, scales.wall_skin, scales.max_correction
@@ -140,13 +148,13 @@ def correct_in_turn(bodies, contacts, box, segments, scales):
         if b < n:
             d_x, d_y = position[b, 0] - x, position[b, 1] - y
             reach = radius[a] + radius[b]
-            wanted = max(reach - slop, 0.0)  # circles smaller than the slop must not be drawn together
+            wanted = max(reach - slop, 0.0)  # circles smaller than the slop are not pulled together
             if d_x * d_x + d_y * d_y >= wanted * wanted:
                 continue  # Nothing to correct; found without a square root.
             distance = math.sqrt(d_x * d_x + d_y * d_y)
             separation = distance - reach
             m_a, m_b = mass[a], mass[b]
-            if m_a == math.inf or m_b == math.inf:  # the other circle takes the whole displacement
+            if m_a == math.inf or m_b == math.inf:  # the free circle takes the whole displacement
                 m_a, m_b = (1.0, 0.0) if m_a == math.inf else (0.0, 1.0)
             push = min(BAUMGARTE * (wanted - distance), longest) / (m_a + m_b)
             n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
@@ -175,10 +183,10 @@ def correct_in_turn(bodies, contacts, box, segments, scales):
 
 @njit(cache=True)
 def correct_tiles(body, normal, stride, centre, first, last, scales):
-    """`correct_in_turn` over the tiles from `first` to before `last`, in place: eight contacts at a time, equal bits.
+    """Do `correct_in_turn` over the tiles `first` to `last` − 1, in place: eight contacts at a time, with equal bits.
 
-    body: (T, 2, 8), rows of `centre` (`fill_ground`). normal: (T, stride, 8), whose first two rows are the normals of
-    the narrow phase.
+    body: (T, 2, 8), bodies of each contact as rows of `centre` (`fill_ground`). normal: (T, stride, 8), whose first two
+    rows are the normals of the narrow phase. centre: x, y, radius and mass of each body, (n + 5, 4).
     """
     none, tiny, turned = spread(0.0), spread(SMALLEST_DISTANCE), spread(TURNED)
     slop, share, longest = spread(scales.slop), spread(BAUMGARTE), spread(scales.max_correction)
@@ -190,14 +198,15 @@ def correct_tiles(body, normal, stride, centre, first, last, scales):
         wanted = most(reach - slop, none)
         square, squared = times(d_x, d_x) + times(d_y, d_y), times(wanted, wanted)
         found_x, found_y = load(normal, stride * t), load(normal, stride * t + 1)
-        # A mass of 0 marks a wall: its normal is fixed, and body a alone moves.
+        # A mass of 0 marks a wall: its normal is constant, and only body a moves.
         along = times(d_x, found_x) + times(d_y, found_y)
         behind = along - r_a - r_b
         if not any_less(none, where_less(none, m_b, squared - square, none - slop - behind)):
             continue  # Nothing to correct; found without a square root.
         distance = simd.root(square)
         push = least(times(share, wanted - distance), longest) / (m_a + m_b)
-        # Pairs with coinciding centres, and pairs that have turned, are pushed along the normal of the narrow phase.
+        # Pairs with coinciding centres, and pairs whose line of centres has rotated, are pushed along the normal of the
+        # narrow phase.
         beyond = where_less(distance, times(tiny, reach), none, along - times(turned, distance))
         push = where_less(none, beyond, push / distance, push)
         push = where_less(square, squared, push, none)
@@ -218,9 +227,10 @@ def correct_tiles(body, normal, stride, centre, first, last, scales):
 
 @njit(cache=True)
 def fill_levels(contacts, n, workspace):
-    """Sort the contacts into tiles, level by level. Returns the number of tiles; 0 if these would be too empty.
+    """Sort the contacts into tiles, level by level. Returns the number of tiles, or 0 if they would be too empty.
 
-    The level of a contact is the first one after the levels of all earlier contacts that share a circle with it.
+    The level of a contact is the first one after the levels of all earlier contacts that share a circle with it. n:
+    number of circles.
     """
     level, batch, fill = workspace.level, workspace.batch, workspace.fill
     m, levels = contacts.body_a.shape[0], 0
@@ -282,7 +292,9 @@ def fill_ground(box, scales, ground):
 
 @njit(cache=True)
 def take_centres(centre, bodies):
-    """Write the corrected positions into the bodies that are not fixed, in place."""
+    """Write the corrected positions into the bodies that are not fixed, in place. centre: (n + 5, 4), of which x, y are
+    read.
+    """
     for i in range(bodies.mass.shape[0]):
         if bodies.mass[i] < math.inf:
             bodies.position[i, 0], bodies.position[i, 1] = centre[i, 0], centre[i, 1]

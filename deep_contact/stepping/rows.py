@@ -1,18 +1,18 @@
 """The contact problem of one step: its rows, and a sweep of Projected Gauss-Seidel over them.
 
-For circles the arms from the centres to the contact point are parallel to the normal. A normal impulse therefore
-turns nothing, an arm is one number instead of a vector, and the two rows of a contact do not see each other
-(J_n M⁻¹ J_tᵀ = 0), so that both can be relaxed from the velocities read once.
+For circles the arms from the centres to the contact point are parallel to the normal. A normal impulse therefore causes
+no rotation, an arm is one number instead of a vector, and the two rows of a contact are decoupled (J_n M⁻¹ J_tᵀ = 0).
+Both rows can be relaxed from velocities that are read once.
 
-With the arm l of a body of radius r, its surface moves tangentially at ω l = (l / r) s, where s = ω r is kept in
-place of ω: for a disc (I = m r² / 2) an impulse λ_t changes s by 2 (l / r) λ_t / m, whatever its radius.
+If l is the arm of a body of radius r, its surface moves tangentially at ω l = (l / r) s, with s = ω r. The engine
+stores s in place of ω: for a disc (I = m r² / 2) an impulse λ_t changes s by 2 (l / r) λ_t / m, whatever its radius.
 
-Without friction no impulse turns a circle: if `friction` is None instead of a number, every function here leaves the
-tangent rows out. None is a type of its own, so the choice is made when the caller is compiled, and the result has the
-same bits as with μ = 0. A start with tangent impulses needs the general rows.
+Without friction no impulse rotates a circle. If `friction` is None instead of a number, every function here leaves the
+tangent rows out. None is a type of its own, so that the choice is made when the caller is compiled. The result has the
+same bits as with μ = 0. A start with tangent impulses needs rows with tangents.
 
-A contact is relaxed in scalar arithmetic here (`sweep`), eight contacts at a time in `solvers.batched.sweep_tiles`, and
-backwards in `cnn.through_solver`, for the gradient of the error that sweeps leave.
+`sweep` relaxes one contact at a time. `solvers.batched.sweep_tiles` relaxes eight at a time. `cnn.through_solver` goes
+through sweeps backwards, for the gradient of the error that they leave.
 """
 
 from __future__ import annotations
@@ -25,52 +25,56 @@ from deep_contact.compiled import njit
 from deep_contact.stepping.segments import moves, surface_velocity, wall_velocity
 
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
-"""Columns of the solver bodies, (n + 4, 4): velocity of the centre, s = ω r (m/s each), 1 / m (1/kg).
+"""Columns of the array of solver bodies, (n + 4, 4): velocity of the centre, m/s; s = ω r, m/s; 1 / m, 1/kg.
 
-The last four rows are the walls: at rest, with an inverse mass of 0. Segments share the last of these rows. Its s is 1
-if surfaces move: with the speed of its surface as the arm of the contact, a segment drags (`move_surfaces`). Further
-rows follow if segments move: one for each contact with a moving segment, with the segment's velocity there
-(`move_walls`).
-"""
+The last four rows stand for the walls: at rest, with an inverse mass of 0. Segments share the last of these rows. If
+surfaces move, its s is 1, and the arm of a contact with a segment is the speed of the surface, so that the segment
+drags the circle (`move_surfaces`). If segments move, there are further rows: one for each contact with a moving
+segment, with the segment's velocity at this contact (`move_walls`)."""
 
 BODY_A, BODY_B = range(2)
-"""Columns of `Rows.body`."""
+"""Columns of `Rows.body`: the two bodies of a contact."""
 
 N_X, N_Y, NORMAL_MASS, TANGENT_MASS, ARM_A, ARM_B = range(6)
-"""Columns of `Rows.data`: unit normal, effective masses (kg), arms over radii."""
+"""Columns of `Rows.data`: unit normal; effective masses of the normal and the tangent row, kg; arm over radius of each
+body."""
 
 NORMAL, TANGENT = range(2)
-"""Columns of `Rows.impulse`."""
+"""Columns of `Rows.impulse`: λ_n and λ_t, N·s."""
 
 
 class Rows(NamedTuple):
     """The rows of m contacts. All numbers of one contact lie side by side, so that a sweep reads memory in order."""
 
-    body: np.ndarray  # (m, 2): rows of the solver bodies: `BODY_A`, `BODY_B`
+    body: np.ndarray  # (m, 2): indices of two solver bodies: `BODY_A`, `BODY_B`
     data: np.ndarray  # (m, 6): `N_X` to `ARM_B`; without friction (m, 3): `N_X` to `NORMAL_MASS`
     impulse: np.ndarray  # (m, 2): λ_n and λ_t, N·s: `NORMAL`, `TANGENT`; without friction (m, 1): λ_n
 
 
 CONTRACT = {"contract"}
-"""Fast-math flag: a * b + c may be one fused operation; nothing else is relaxed."""
+"""Fast-math flag: a * b + c may be one fused operation. No other rule of arithmetic is relaxed."""
 
 SUMS = {"contract", "reassoc"}
-"""Fast-math flags of sums over all rows: several partial sums at once, in an order fixed at compile time."""
+"""Fast-math flags of sums over all rows: several partial sums at once, in an order that is fixed at compile time."""
 
 
 def make_rows(capacity, friction):
-    """Uninitialised rows for `capacity` contacts."""
+    """Return uninitialised rows for `capacity` contacts. friction: None for rows without tangents."""
     columns, kinds = (3, 1) if friction is None else (6, 2)
     return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, columns)), np.empty((capacity, kinds)))
 
 
 more_rows = njit(cache=True)(make_rows)
-"""`make_rows` for compiled callers."""
+"""`make_rows`, compiled, for compiled callers."""
 
 
 @njit(inline="always")
 def with_wall_bodies(solver_bodies, contacts, n, actuation):
-    """Solver bodies with a row for each contact with a moving segment: the same array, or a larger one if needed."""
+    """Return solver bodies with one more row for each contact with a moving segment.
+
+    Without such contacts this is the same array; otherwise it is a larger one, uninitialised. n: number of circles.
+    actuation: `Actuation` of the step, or None.
+    """
     if actuation is None:
         return solver_bodies
     more = 0
@@ -82,9 +86,11 @@ def with_wall_bodies(solver_bodies, contacts, n, actuation):
 
 @njit(cache=True, error_model="numpy")
 def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, share):
-    """Rows of the contacts, with their starting impulses times `share`: views of the buffer, or of a larger one.
+    """Return the rows of the contacts. Their starting impulses are those of the contacts times `share`.
 
-    Effective masses are 1 / (J M⁻¹ Jᵀ). radius: (n,), m. segments: `Segments`. If segments move, `move_walls` follows.
+    The rows are views of the buffer, or of a larger one. Effective masses are 1 / (J M⁻¹ Jᵀ). radius: (n,), m.
+    segments: `Segments`, or None. solver_bodies: (N, 4), with inverse masses. friction: μ, or None for rows without
+    tangents. If segments move, `move_walls` has to follow.
     """
     v, m, last = solver_bodies, contacts.body_a.shape[0], radius.shape[0] + 3
     if m > buffer.body.shape[0]:
@@ -111,7 +117,10 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, sh
 
 @njit(cache=True)
 def relative_velocity(rows, v, i):
-    """(Along the normal, along the tangent) of the i-th contact, m/s. v: velocities of the solver bodies."""
+    """Return the velocity of the second body relative to the first at contact i, along normal and tangent, m/s.
+
+    v: solver bodies, (N, 4).
+    """
     a, b, n_x, n_y = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i, N_X], rows.data[i, N_Y]
     d_x, d_y = v[b, V_X] - v[a, V_X], v[b, V_Y] - v[a, V_Y]
     turn = rows.data[i, ARM_A] * v[a, V_S] + rows.data[i, ARM_B] * v[b, V_S]
@@ -120,14 +129,20 @@ def relative_velocity(rows, v, i):
 
 @njit(cache=True, error_model="numpy")
 def arms_of(radius, a, b, separation):
-    """Arms of a contact over the radii of its bodies; 0 for a wall or segment. radius: (n,), m. separation: m."""
+    """Return the arms of the bodies a and b of a contact, divided by their radii; 0 for a wall or segment.
+
+    radius: (n,), m. separation: m.
+    """
     arm_b = 1.0 + 0.5 * separation / radius[b] if b < radius.shape[0] else 0.0
     return 1.0 + 0.5 * separation / radius[a], arm_b
 
 
 @njit(cache=True, error_model="numpy")
 def row_masses(w_a, w_b, arms):
-    """Effective masses of the normal and the tangent row, kg. w_a, w_b: inverse masses, 1/kg. arms: of `arms_of`."""
+    """Return the effective masses of the normal and the tangent row, kg.
+
+    w_a, w_b: inverse masses of the two bodies, 1/kg. arms: arms over radii, from `arms_of`.
+    """
     arm_a, arm_b = arms
     return 1.0 / (w_a + w_b), 1.0 / (w_a + w_b + 2.0 * (arm_a * arm_a * w_a + arm_b * arm_b * w_b))
 
@@ -136,7 +151,7 @@ def row_masses(w_a, w_b, arms):
 def move_surfaces(contacts, segments, solver_bodies, rows, last):
     """Write the speeds of the segments' surfaces into rows with tangents and into the solver bodies, in place.
 
-    last: row of the solver bodies that the segments share.
+    last: index of the solver body that the segments share.
     """
     if segments.line.shape[0] == 0:
         return
@@ -149,7 +164,10 @@ def move_surfaces(contacts, segments, solver_bodies, rows, last):
 
 @njit(cache=True, error_model="numpy")
 def move_walls(contacts, segments, solver_bodies, rows, n, actuation):
-    """Give each contact with a moving segment a solver body of its own, in place. n: number of circles."""
+    """Add a solver body with the velocity of the segment for each contact with a moving segment, in place.
+
+    n: number of circles. actuation: `Actuation` of the step.
+    """
     row = last = n + 3
     for i in range(contacts.body_a.shape[0]):
         s = contacts.body_b[i] - last - 1
@@ -162,7 +180,7 @@ def move_walls(contacts, segments, solver_bodies, rows, n, actuation):
 
 @njit(cache=True)
 def apply_impulses(rows, solver_bodies, friction):
-    """Apply the impulses that the rows start from to the velocities, in place: v ← v + M⁻¹ Jᵀ λ."""
+    """Apply the starting impulses of the rows to the velocities of the solver bodies, in place: v ← v + M⁻¹ Jᵀ λ."""
     arms, p_t = (0.0, 0.0), 0.0
     for i in range(rows.body.shape[0]):
         normal, p_n = (rows.data[i, N_X], rows.data[i, N_Y]), rows.impulse[i, NORMAL]
@@ -173,7 +191,10 @@ def apply_impulses(rows, solver_bodies, friction):
 
 @njit(cache=True)
 def apply_impulse(v, a, b, normal, arms, impulse):
-    """Apply an impulse (λ_n, λ_t), N·s, to two solver bodies, in place. arms: over radii."""
+    """Apply an impulse (λ_n, λ_t), N·s, to two solver bodies, in place. arms: arms of the bodies over their radii.
+
+    v: solver bodies, (N, 4). a, b: indices of the two.
+    """
     (n_x, n_y), (p_n, p_t) = normal, impulse
     p_x = p_n * n_x + p_t * n_y
     p_y = p_n * n_y - p_t * n_x
@@ -188,16 +209,17 @@ def apply_impulse(v, a, b, normal, arms, impulse):
 
 @njit(cache=True, fastmath=CONTRACT)
 def sweep(rows, friction, solver_bodies):
-    """One sweep of Projected Gauss-Seidel over all contacts, in place. Returns θ.
+    """Do one sweep of Projected Gauss-Seidel over all contacts, in place. Returns θ, N·s.
 
-    Every contact relaxes its friction row, clamped by μ times the normal impulse it has, and its normal row, clamped
-    at 0 (Box2D's order; Algorithm 1 of the thesis for the normal rows). θ = max over all rows of |λ_k − λ_{k−1}|, N·s.
+    Every contact relaxes its friction row, clamped to ±μ times its present normal impulse, and its normal row, clamped
+    at 0 (Box2D's order; Algorithm 1 of the thesis for the normal rows). θ = max over all rows of |λ_k − λ_{k−1}|, where
+    k counts the sweeps. friction: μ, or None for rows without tangents. solver_bodies: (N, 4).
     """
     v = solver_bodies
     body, data, impulse = rows.body, rows.data, rows.impulse
     theta = 0.0
-    # Contacts are sorted by body a, so its velocity stays in registers until the next a: successive contacts of one
-    # body need not wait for a trip through memory.
+    # Contacts are sorted by body a. Its velocity stays in registers until the next a, so that successive contacts of
+    # one body need not wait for memory.
     held = np.uint32(0)
     a_x, a_y, a_s, w_a = v[0, V_X], v[0, V_Y], v[0, V_S], v[0, INVERSE_MASS]
     for i in range(body.shape[0]):
@@ -209,15 +231,15 @@ def sweep(rows, friction, solver_bodies):
         b_x, b_y, w_b = v[b, V_X], v[b, V_Y], v[b, INVERSE_MASS]
         n_x, n_y, k_n, old_n = data[i, N_X], data[i, N_Y], data[i, NORMAL_MASS], impulse[i, NORMAL]
 
-        # The change −k (v_b − v_a)·n, cut so that λ stays admissible. The contribution of a comes last, and λ is added
-        # outside of the chain of operations that the next contact waits for.
+        # The change of λ_n is −k (v_b − v_a)·n, clamped so that λ_n stays >= 0. The contribution of a comes last, and
+        # λ_n is added separately, because the next contact waits for the velocity of a.
         x_n, y_n = k_n * n_x, k_n * n_y
         free_n = 0.0 - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
         p_n = max(free_n, -old_n)
         largest = abs(p_n)
         impulse[i, NORMAL] = old_n + p_n
         if friction is not None:
-            # The change along t = (n_y, −n_x), cut to Coulomb's bounds.
+            # The change of λ_t along t = (n_y, −n_x), clamped to Coulomb's bounds.
             b_s, k_t, arm_a, arm_b = v[b, V_S], data[i, TANGENT_MASS], data[i, ARM_A], data[i, ARM_B]
             old_t, bound = impulse[i, TANGENT], friction * max(old_n, 0.0)
             x_t, y_t = k_t * n_y, k_t * n_x
@@ -245,7 +267,7 @@ def sweep(rows, friction, solver_bodies):
 
 @njit(cache=True)
 def store_impulses(rows, contacts, substeps):
-    """Write the solved impulses of a substep, times the number `substeps` of substeps, into the contacts, in place."""
+    """Write the solved impulses of a substep, times the number of substeps, into the contacts, in place."""
     last = rows.impulse.shape[1] - 1
     for i in range(rows.body.shape[0]):
         contacts.normal_impulse[i] = substeps * rows.impulse[i, NORMAL]
@@ -254,11 +276,11 @@ def store_impulses(rows, contacts, substeps):
 
 @njit(cache=True, error_model="numpy")
 def best_share(rows, solver_bodies):
-    """α = clip(−b·λ / λ·A λ, 0, 1) for the impulses λ of the rows; 1 where these change no velocity.
+    """Return α = clip(−b·λ / λ·A λ, 0, 1) for the impulses λ of the rows; 1 if these change no velocity.
 
-    α λ has the least energy ½ α² λ·A λ + α b·λ, with A = J M⁻¹ Jᵀ and b = J v⁻. One pass over the contacts is enough,
-    because λ·A λ is twice the kinetic energy of the velocity changes by λ: Σ m |Δv|² + ½ m Δs², s = ω r. rows: `Rows`
-    with tangents. solver_bodies: velocities v⁻ before impulses, (N, 4).
+    Of all multiples of λ, α λ has the least energy ½ α² λ·A λ + α b·λ, with A = J M⁻¹ Jᵀ and b = J v⁻. One pass over
+    the contacts is enough, because λ·A λ is twice the kinetic energy of the velocity changes by λ: Σ m |Δv|² + ½ m Δs²,
+    s = ω r. rows: `Rows` with tangents. solver_bodies: velocities v⁻ before impulses, (N, 4).
     """
     v = solver_bodies
     change = np.zeros((v.shape[0], 3))
@@ -287,6 +309,9 @@ def best_share(rows, solver_bodies):
 
 
 def projected(normal: np.ndarray, tangent: np.ndarray, friction) -> tuple[np.ndarray, np.ndarray]:
-    """Impulses, (m,) each, cut to the friction cone as in a sweep. friction: one number, or one number a contact."""
+    """Return impulses clamped to the friction cone as in a sweep: λ_n to >= 0, then λ_t to ±μ λ_n.
+
+    normal, tangent: λ_n and λ_t, (m,) each, N·s. friction: μ, one number, or one number a contact.
+    """
     p_n = np.maximum(normal, 0.0)
     return p_n, np.clip(tangent, -friction * p_n, friction * p_n).astype(tangent.dtype, copy=False)

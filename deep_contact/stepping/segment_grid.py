@@ -1,6 +1,6 @@
-"""The segments of a world in a grid of cells, and the distance of a point from a segment.
+"""A grid of cells that lists the segments near each cell, and the distance of a point from a segment.
 
-The grid is made once a run, and where a segment moves (`context.Actuation`), after each of its moves.
+The grid is made once a run. If segments move (`context.Actuation`), it is made again after each of their moves.
 """
 
 from __future__ import annotations
@@ -14,33 +14,34 @@ from deep_contact.compiled import njit
 from deep_contact.state.world import World
 
 BESIDE, START, END = range(3)
-"""The part of a segment that is nearest to a point: its interior, or one of its ends."""
+"""The part of a segment that is nearest to a point: its interior, its first end or its second end."""
 
 _ROUNDING = 1e-9
-"""Tolerance for rounding. A path that crosses the line of a segment up to this far beyond an end, in lengths of the
-segment, counts as crossing the segment, so that no path slips through a joint. A normal counts as perpendicular to a
-segment if its cosine differs from 1 by at most this."""
+"""Tolerance for rounding. A path that crosses the line of a segment beyond an end, by at most this share of the
+segment's length, counts as crossing the segment, so that no path slips through a joint. A normal counts as
+perpendicular to a segment if the cosine of their angle to the perpendicular differs from 1 by at most this number."""
 
 ON = 1e-4
-"""Largest distance by which the end of a segment stands out of another surface and is still hidden by it, in reaches of
-the circle (radius plus skin). It is a fiftieth of the slop."""
+"""An end of a segment is hidden by another surface if it stands out of this surface by at most this distance, in units
+of the circle's reach (radius plus skin). It is a fiftieth of the slop."""
 
 BEHIND = 0.02
-"""Largest distance by which a hidden end lies behind another surface, or in a gap beyond that surface's own end, in
-reaches of the circle. In such a gap a circle sinks by a hundredth of the slop."""
+"""An end of a segment is also hidden by another surface if it lies behind this surface, or in a gap beyond the
+surface's own end, by at most this distance, in units of the circle's reach. A circle sinks into such a gap by a
+hundredth of the slop."""
 
 
 class Segments(NamedTuple):
     """The segments of a world, and a grid that lists, for each of its cells, the segments within reach."""
 
-    line: np.ndarray  # (S, 5): two ends, m, and the speed of the surface, m/s
-    start: np.ndarray  # (rows · columns + 1,): `near[start[c]:start[c + 1]]` are within reach of cell c
-    near: np.ndarray  # segments within reach, for each cell in their order
+    line: np.ndarray  # (S, 5): two ends x, y, x, y, m, and the speed of the surface, m/s
+    start: np.ndarray  # (rows · columns + 1,): cell c lists the segments `near[start[c]:start[c + 1]]`
+    near: np.ndarray  # lists of the cells, one after the other: indices of segments
     every: np.ndarray  # (S,): indices of all segments
-    first: np.ndarray  # (2 S + 1,): `hiding[first[e]:first[e + 1]]` may hide end e = 2 s + 0 or 1 of segment s
-    hiding: np.ndarray  # segments that may hide an end, for each end in their order
-    grid: tuple  # (x, y) of its corner, m, cells a metre, columns, rows
-    reach: float  # reach of the grid, m
+    first: np.ndarray  # (2 S + 1,): end e = 2 s + (0 or 1) of segment s lists `hiding[first[e]:first[e + 1]]`
+    hiding: np.ndarray  # lists of the ends, one after the other: indices of segments that may hide an end
+    grid: tuple  # (x, y, cells a metre, columns, rows); x, y: corner of the grid, m
+    reach: float  # largest distance of a listed segment from its cell, m
 
 
 NO_SEGMENTS = Segments(
@@ -51,14 +52,14 @@ NO_SEGMENTS = Segments(
 
 
 def segments_of(world: World) -> np.ndarray:
-    """The segments of a world with the speeds of their surfaces, (S, 5), m and m/s."""
+    """Return the segments of a world with the speeds of their surfaces, (S, 5), m and m/s."""
     if not world.segments:
         return NO_SEGMENTS.line
     return np.column_stack([world.segments, world.surface_speeds or np.zeros(len(world.segments))])
 
 
 def segments_in_grid(world: World, reach: float) -> Segments:
-    """The segments of a world in a grid for a reach, m, or a larger one. The world caches it in a hidden field."""
+    """Return the `Segments` of a world for this reach, m, or a larger one. The world caches them in a hidden field."""
     kept = vars(world).get("_in_grid")
     if kept is None or kept.reach < reach:
         line = segments_of(world)
@@ -67,7 +68,10 @@ def segments_in_grid(world: World, reach: float) -> Segments:
 
 
 def in_grid(line, reach, most):
-    """`Segments` of lines, (S, 5), in a grid of about `most` cells at most, none smaller than the reach, m."""
+    """Return `Segments` of lines, (S, 5). reach: largest distance of a listed segment from a cell, m.
+
+    most: largest number of cells, approximately. A cell is not smaller than the reach.
+    """
     beyond, every, none = 1.001 * reach, np.arange(line.shape[0]), np.zeros(0, np.int64)
     x, y = min(line[:, 0].min(), line[:, 2].min()) - beyond, min(line[:, 1].min(), line[:, 3].min()) - beyond
     wide = max(line[:, 0].max(), line[:, 2].max()) - (x + beyond) + 2.0 * beyond
@@ -95,14 +99,15 @@ in_grid_again = njit(cache=True, error_model="numpy")(in_grid)
 def list_cells(line, reach, grid, fill, near):
     """List the segments within reach of each cell c in `near`, or count them in `fill[c + 1]` if `near` is empty.
 
-    fill: changed in place; for a list, the places in `near` where the lists of the cells begin.
+    reach: m. fill: changed in place. If segments are listed, `fill[c]` is the place in `near` at which the list of cell
+    c begins.
     """
     x, y, per_metre, columns, rows = grid
     for s in range(line.shape[0]):
         x_0, y_0, x_1, y_1 = line[s, 0], line[s, 1], line[s, 2], line[s, 3]
         first = max(int((min(y_0, y_1) - reach - y) * per_metre), 0)
         for row in range(first, min(int((max(y_0, y_1) + reach - y) * per_metre), rows - 1) + 1):
-            # The part of the segment within reach of the row.
+            # t_0 to t_1 is the part of the segment within reach of the row.
             low, high = y + row / per_metre - reach, y + (row + 1) / per_metre + reach
             t_0, t_1 = 0.0, 1.0
             if y_0 != y_1:
@@ -123,7 +128,8 @@ def list_cells(line, reach, grid, fill, near):
 def list_hiding(segments, fill, hiding):
     """List the segments that may hide each end e in `hiding`, or count them in `fill[e + 1]` if `hiding` is empty.
 
-    fill: changed in place; for a list, the places in `hiding` where the lists of the ends begin.
+    fill: changed in place. If segments are listed, `fill[e]` is the place in `hiding` at which the list of end e
+    begins.
     """
     line, every, within = segments.line, segments.every, 1.5 * BEHIND * segments.reach
     for end in range(2 * line.shape[0]):
@@ -140,10 +146,10 @@ def list_hiding(segments, fill, hiding):
 
 @njit(cache=True, error_model="numpy")
 def circles_beside(segments, before, position, found):
-    """Write the circles that may meet a segment on their way into `found`, (n,). Returns their number.
+    """Write all circles that may come within reach of a segment during their motion into `found`. Returns their number.
 
-    before, position: centres before and after the motion, (n, 2), m. All circles that come within reach of a segment
-    are among those found.
+    before, position: centres before and after the motion, (n, 2), m. found: (n,), indices. Some of the circles that are
+    written do not come within reach.
     """
     (corner_x, corner_y, per_metre, columns, rows), start, reach = segments.grid, segments.start, segments.reach
     count = 0
@@ -161,7 +167,10 @@ def circles_beside(segments, before, position, found):
 
 @njit(cache=True, error_model="numpy")
 def cells_of_box(grid, x_min, x_max, y_min, y_max):
-    """(First column, last column, first row, last row) of the cells that a box crosses; (0, −1, 0, −1) without any."""
+    """Return (first column, last column, first row, last row) of the cells that a box overlaps.
+
+    Returns (0, −1, 0, −1) if there are none. The box is in m.
+    """
     corner_x, corner_y, per_metre, columns, rows = grid
     left, right = (x_min - corner_x) * per_metre, (x_max - corner_x) * per_metre
     low, high = (y_min - corner_y) * per_metre, (y_max - corner_y) * per_metre
@@ -172,7 +181,10 @@ def cells_of_box(grid, x_min, x_max, y_min, y_max):
 
 @njit(cache=True, error_model="numpy")
 def is_free(start, grid, x_min, x_max, y_min, y_max):
-    """Whether no segment is within reach of a box. start, grid: of `Segments`."""
+    """Return whether no segment is listed in the cells that a box overlaps: then none is within reach of the box.
+
+    start, grid: fields of `Segments`.
+    """
     first, last, bottom, top = cells_of_box(grid, x_min, x_max, y_min, y_max)
     for row in range(bottom, top + 1):
         if start[row * grid[3] + first] != start[row * grid[3] + last + 1]:
@@ -182,7 +194,10 @@ def is_free(start, grid, x_min, x_max, y_min, y_max):
 
 @njit(cache=True, error_model="numpy")
 def near_box(segments, x_min, x_max, y_min, y_max, buffer):
-    """A list with all segments within reach of a box, and with others; some occur twice. buffer: (S,), overwritten."""
+    """Return the indices of all segments within reach of a box. The list also has other segments, and some occur twice.
+
+    buffer: (S,), overwritten.
+    """
     first, last, bottom, top = cells_of_box(segments.grid, x_min, x_max, y_min, y_max)
     columns, count = segments.grid[3], 0
     if first == last and bottom == top:
@@ -200,7 +215,10 @@ def near_box(segments, x_min, x_max, y_min, y_max, buffer):
 
 @njit(cache=True, error_model="numpy")
 def moved_segments(segments, actuation, dt):
-    """The segments after Δt, in a new grid. Their lines move in place. actuation: `context.Actuation`."""
+    """Move the segments by their velocities for Δt, s, in place. Returns them in a new grid.
+
+    actuation: `context.Actuation`.
+    """
     if actuation.moving.shape[0] == 0:
         return segments
     line = segments.line
@@ -212,7 +230,7 @@ def moved_segments(segments, actuation, dt):
 
 @njit(cache=True, error_model="numpy")
 def nearest_part(segment, x, y):
-    """BESIDE, START or END: the part of the segment that is nearest to a point."""
+    """Return BESIDE, START or END: the part of the segment that is nearest to a point."""
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     along = e_x * (x - segment[0]) + e_y * (y - segment[1])
     if along < 0.0:
@@ -222,12 +240,12 @@ def nearest_part(segment, x, y):
 
 @njit(cache=True, error_model="numpy")
 def segment_gap(segment, x, y, h_x=0.0, h_y=0.0):
-    """(distance, n_x, n_y): distance of a point from a segment, m, and the unit normal from the point to the segment.
+    """Return (distance, n_x, n_y): the distance of a point from a segment, m, and the unit normal towards the segment.
 
-    h_x, h_y: normal from an earlier search. It sets the side from which the distance is measured, so that the distance
-    is negative beyond the segment; without it, that side is the side of the point. If this normal is perpendicular to
-    the segment, a point that has passed an end since then still counts as beside the segment, as in Box2D: nothing
-    changes at a joint within a step.
+    h_x, h_y: normal from an earlier search, or 0. It tells on which side of the segment the point was. On the other
+    side the distance is negative. Without it the distance is never negative. If the earlier normal is perpendicular to
+    the segment, the distance is measured from the line of the segment, even if the point has passed an end since then.
+    As in Box2D, a contact at a joint therefore does not change within a step.
     """
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     length = math.sqrt(e_x * e_x + e_y * e_y)

@@ -1,16 +1,17 @@
-"""Segments: lines beside the box, with contacts on both sides and at their ends (`World.segments`).
+"""Segments: lines that act as walls, with contacts on both sides and at their ends (`World.segments`).
 
-A segment is (x_0, y_0, x_1, y_1), m, and the speed of its surface, m/s; the segments of a world are an array (S, 5).
-If an end is the nearest point of a segment, the contact of a circle is that with a point. An end that lies on another
-segment or on a wall of the box, or just behind it, has no contact of its own: the other surface has it (`touches`).
-Ghost vertices do this in chains of Box2D 2.3. Without this rule, a circle that rolls over a joint stumbles.
+A segment is (x_0, y_0, x_1, y_1), m, and the speed of its surface, m/s. The segments of a world are an array (S, 5). If
+an end is the point of a segment that is nearest to a circle, the contact is that with a point. An end that lies on
+another segment or on a wall of the box, or just behind it, has no contact of its own: the other surface has it
+(`touches`). Without this rule, a circle that rolls over a joint stumbles. Box2D 2.3 uses ghost vertices for this in its
+chains.
 
-No centre ever crosses a segment at rest. Continuous collision stops fast circles at it (`continuous`), and a centre
-that sweeps or position correction would push through it is clamped to its side (`clamp_beside`). A moving segment
-passes over a circle that resting bodies hold in its way (`passing`).
+No centre ever crosses a segment at rest. Continuous collision stops fast circles at it (`continuous`). A centre that
+sweeps or position correction would push through it is clamped to its side (`clamp_beside`). A moving segment passes
+over a circle that bodies at rest block (`passing`).
 
-The path of a circle relative to a moving segment begins at the point to which the segment
-would have carried the circle's first position (`carried`).
+The path of a circle relative to a moving segment begins at the point to which the segment would have carried the
+circle's first position (`carried`).
 """
 
 from __future__ import annotations
@@ -38,20 +39,20 @@ from deep_contact.stepping.segment_grid import (
 
 @njit(cache=True, error_model="numpy")
 def surface_velocity(segment, n_x, n_y):
-    """Velocity of a segment's surface along the tangent (n_y, -n_x) of a contact with it, m/s."""
+    """Return the velocity of a segment's surface along the tangent (n_y, -n_x) of a contact with it, m/s."""
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     return segment[4] * (e_x * n_y - e_y * n_x) / math.sqrt(e_x * e_x + e_y * e_y)
 
 
 @njit(cache=True)
 def moves(wall, s):
-    """Whether the s-th segment moves. wall: velocities of the ends, (S, 4), m/s."""
+    """Return whether segment s moves. wall: velocities of the ends of all segments, (S, 4), m/s."""
     return wall[s, 0] != 0.0 or wall[s, 1] != 0.0 or wall[s, 2] != 0.0 or wall[s, 3] != 0.0
 
 
 @njit(cache=True)
 def has_moving(actuation):
-    """Whether any segment moves. actuation: `Actuation` of the step, or None."""
+    """Return whether any segment moves. actuation: `Actuation` of the step, or None."""
     if actuation is None:
         return False
     return actuation.moving.shape[0] > 0
@@ -59,7 +60,10 @@ def has_moving(actuation):
 
 @njit(cache=True, error_model="numpy")
 def wall_velocity(line, wall, s, x, y):
-    """(v_x, v_y) of the s-th segment at its point nearest to (x, y), m/s. wall: velocities of the ends, (S, 4), m/s."""
+    """Return the velocity (v_x, v_y) of segment s at its point nearest to (x, y), m/s.
+
+    line: the segments, (S, 5). wall: velocities of their ends, (S, 4), m/s.
+    """
     e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
     t = (e_x * (x - line[s, 0]) + e_y * (y - line[s, 1])) / (e_x * e_x + e_y * e_y)
     t = min(1.0, max(0.0, t))
@@ -68,7 +72,11 @@ def wall_velocity(line, wall, s, x, y):
 
 @njit(cache=True, error_model="numpy")
 def carried(line, wall, s, dt, x, y):
-    """The place to which the s-th segment, which has moved for Δt, would have carried the point (x, y) along, m."""
+    """Return the point to which segment s would have carried the point (x, y) in its motion over Δt, m.
+
+    The carried point has the same distance from the segment, and the same place along it as a share of its length.
+    line: the segments after Δt, (S, 5). wall: velocities of their ends, (S, 4), m/s. dt: Δt, s.
+    """
     x_0, y_0 = line[s, 0] - dt * wall[s, 0], line[s, 1] - dt * wall[s, 1]
     f_x, f_y = line[s, 2] - dt * wall[s, 2] - x_0, line[s, 3] - dt * wall[s, 3] - y_0
     e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
@@ -79,9 +87,9 @@ def carried(line, wall, s, dt, x, y):
 
 
 def ground_velocities(contacts, world, n):
-    """(Along normals, along tangents): velocities of segments and their surfaces at contacts, (m,) each, m/s.
+    """Return the velocities of segments and their surfaces at contacts, along the normals and along the tangents.
 
-    n: number of circles. The velocities are 0 at contacts with circles and walls.
+    The result is (2, m), m/s. It is 0 at contacts with circles and walls. n: number of circles.
     """
     velocities, line, wall = np.zeros((2, len(contacts.body_a))), segments_of(world), np.array(world.segment_velocities)
     if world.surface_speeds or world.segment_velocities:
@@ -96,10 +104,11 @@ def ground_velocities(contacts, world, n):
 
 @njit(cache=True, error_model="numpy")
 def touches(segments, box, s, x, y, reach):
-    """Whether a circle at (x, y) has a contact with segment s: within `reach`, m, and not with a hidden end.
+    """Return whether a circle with its centre at (x, y) has a contact with segment s.
 
-    An end is hidden if a wall, or another segment that is at least as near, has the contact in its place. Of two ends
-    that are equally near, the end of the first segment is not hidden. box: of the `World`.
+    It has one if the segment is at most `reach`, m, from the centre, and its nearest point is not a hidden end. An end
+    is hidden if a wall, or another segment that is at least as near, has the contact in its place. Of two ends that are
+    equally near, that of the segment with the smaller index is not hidden. box: that of the `World`.
     """
     line = segments.line
     segment = line[s]
@@ -110,7 +119,7 @@ def touches(segments, box, s, x, y, reach):
     gap, part = segment_gap(segment, x, y)[0], nearest_part(segment, x, y)
     if not gap <= reach or part == BESIDE:
         return gap <= reach
-    which = part - START  # 0: its first end, 1: its second
+    which = part - START  # 0: first end of the segment, 1: second end
     end = 2 * s + which
     e_x, e_y = segment[2 * which], segment[2 * which + 1]
     if min(e_x - box[0], e_y - box[1], box[2] - e_x, box[3] - e_y) <= ON * reach:
@@ -125,7 +134,10 @@ def touches(segments, box, s, x, y, reach):
 
 @njit(cache=True, error_model="numpy")
 def hides(segment, e_x, e_y, x, y, reach):
-    """Whether an end (e_x, e_y) lies on a segment, or just behind it as seen from (x, y): see `ON` and `BEHIND`."""
+    """Return whether an end (e_x, e_y) lies on a segment, or just behind it as seen from (x, y).
+
+    The tolerances are `ON` and `BEHIND`. reach: radius of the circle plus skin, m.
+    """
     s_x, s_y = segment[2] - segment[0], segment[3] - segment[1]
     length = math.sqrt(s_x * s_x + s_y * s_y)
     d_x, d_y = e_x - segment[0], e_y - segment[1]
@@ -138,7 +150,11 @@ def hides(segment, e_x, e_y, x, y, reach):
 
 @njit(cache=True)
 def insert_pairs(position, radius, walls, segments, body_a, body_b, m):
-    """Insert touching circles and segments into m sorted pairs, in place. Returns the new number, or -1 if full."""
+    """Insert the touching pairs of circles and segments into `body_a` and `body_b`, in place.
+
+    Their first m pairs are sorted by (body_a, body_b), and stay so with the new ones. Returns the new number of pairs,
+    or -1 if they do not fit.
+    """
     n, end = position.shape[0], m
     circles = np.empty(n, np.int64)
     for i in circles[: circles_beside(segments, position, position, circles)]:
@@ -151,7 +167,7 @@ def insert_pairs(position, radius, walls, segments, body_a, body_b, m):
                 end += 1
     more_a, more_b = body_a[m:end].copy(), body_b[m:end].copy()
     i, j = m - 1, end - m - 1
-    # Merged from the back. For each circle, segments come after all other bodies.
+    # Merged from the back. Among the pairs of a circle, those with segments come last.
     while j >= 0:
         if i >= 0 and body_a[i] > more_a[j]:
             body_a[i + j + 1], body_b[i + j + 1] = body_a[i], body_b[i]
@@ -164,7 +180,10 @@ def insert_pairs(position, radius, walls, segments, body_a, body_b, m):
 
 @njit(cache=True, error_model="numpy")
 def first_crossing(segments, x, y, to_x, to_y, buffer, actuation):
-    """Share of the straight way from (x, y) to (to_x, to_y) at the first crossing of a segment at rest, or infinity."""
+    """Return at which share of the straight path from (x, y) to (to_x, to_y) it first crosses a segment at rest.
+
+    Returns infinity if it crosses none. buffer: (S,), overwritten. actuation: `Actuation` of the step, or None.
+    """
     first = math.inf
     for s in near_box(segments, min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y), buffer):
         if actuation is not None:
@@ -176,7 +195,10 @@ def first_crossing(segments, x, y, to_x, to_y, buffer, actuation):
 
 @njit(cache=True, error_model="numpy")
 def crossing(segment, x, y, to_x, to_y):
-    """`first_crossing` for one segment, moving or at rest."""
+    """Return at which share of the path it crosses one segment, moving or at rest (`first_crossing`).
+
+    Returns infinity if it does not cross the segment.
+    """
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     before = e_x * (y - segment[1]) - e_y * (x - segment[0])
     after = e_x * (to_y - segment[1]) - e_y * (to_x - segment[0])
@@ -191,7 +213,10 @@ def crossing(segment, x, y, to_x, to_y):
 
 @njit(cache=True)
 def positions_before(bodies, segments):
-    """Positions at the start of a substep, for `clamp_beside`: a copy, or without segments the positions themselves."""
+    """Return the positions at the start of a substep, (n, 2), m, which `clamp_beside` needs.
+
+    They are a copy if there are segments, and otherwise the array of the bodies itself.
+    """
     if segments is None:
         return bodies.position
     return bodies.position.copy() if segments.line.shape[0] > 0 else bodies.position
@@ -199,10 +224,11 @@ def positions_before(bodies, segments):
 
 @njit(cache=True)
 def may_cross(bodies, before, solved):
-    """Whether a centre may have crossed a segment on its way.
+    """Return whether a centre may have crossed a segment in a substep.
 
-    A centre that moved less than half of its radius has not crossed one, unless it was nearer than that to a segment
-    before, which the separation of a contact shows. before: positions at the start, (n, 2), m. solved: contacts there.
+    A centre that moved by less than half of its radius cannot have crossed a segment that was farther away than that. A
+    segment that was nearer has a contact with the circle, whose separation shows it. before: positions at the start,
+    (n, 2), m. solved: contacts at these positions.
     """
     position, radius, n = bodies.position, bodies.radius, bodies.radius.shape[0]
     body_a, body_b, separation = solved.body_a, solved.body_b, solved.separation
@@ -218,10 +244,11 @@ def may_cross(bodies, before, solved):
 
 @njit(cache=True)
 def clamp_beside(bodies, before, segments, actuation):
-    """Put centres that have crossed a resting segment back, in place, to half of their way to the crossing.
+    """Move centres that have crossed a segment at rest back to their side, in place.
 
-    before: positions at the start of the substep, (n, 2), m. A centre crosses a segment only if it is pressed harder
-    than the sweeps and position correction can withstand.
+    The new place is half-way from the old position to the crossing. before: positions at the start of the substep, (n,
+    2), m. A centre crosses a segment only if it is pressed harder than the sweeps and position correction can
+    withstand.
     """
     position, buffer, circles = bodies.position, np.empty_like(segments.every), np.empty(len(before), np.int64)
     for i in circles[: circles_beside(segments, before, position, circles)]:
@@ -229,17 +256,18 @@ def clamp_beside(bodies, before, segments, actuation):
         share = 0.5 * first_crossing(segments, x, y, position[i, 0], position[i, 1], buffer, actuation)
         if share <= 0.5:
             to_x, to_y = x + share * (position[i, 0] - x), y + share * (position[i, 1] - y)
-            # A centre that lies on the line, but for rounding, stays where it was.
+            # If rounding puts the new place on the other side, the centre stays at its old position.
             stays = first_crossing(segments, x, y, to_x, to_y, buffer, actuation) <= 1.0
             position[i, 0], position[i, 1] = (x, y) if stays else (to_x, to_y)
 
 
 @njit(cache=True, error_model="numpy")
 def clamp_beside_moving(bodies, before, segments, solved, actuation, dt):
-    """`clamp_beside` for the moving segments, in place. They have moved for Δt, s. solved: contacts at the start of Δt.
+    """Do `clamp_beside` for the moving segments, in place, after they have moved for Δt.
 
     A segment passes over a centre that it crosses if the circle had no contact with it, or was fast relative to it
-    (`continuous`). Returns whether a centre has changed, and a circle over which a segment passes, or −1.
+    (`continuous`). before: positions at the start of Δt, (n, 2), m. solved: contacts at these positions. dt: Δt, s.
+    Returns (whether a centre has changed, index of a circle over which a segment passes, or −1).
     """
     position, line, n = bodies.position, segments.line, bodies.mass.shape[0]
     changed, passed = False, np.int64(-1)
@@ -261,7 +289,7 @@ def clamp_beside_moving(bodies, before, segments, solved, actuation, dt):
 
 @njit(cache=True)
 def touched(contacts, a, b):
-    """Whether there is a contact between bodies a and b."""
+    """Return whether there is a contact between bodies a and b."""
     for k in range(contacts.body_a.shape[0]):
         if contacts.body_a[k] == a and contacts.body_b[k] == b:
             return True
@@ -270,9 +298,9 @@ def touched(contacts, a, b):
 
 @njit(cache=True, error_model="numpy")
 def time_to_touch(segment, x, y, m_x, m_y, least):
-    """(time, part): when a point that moves by (m_x, m_y), m, first comes within `least`, m, of a segment; or infinity.
+    """Return (time, part): when a point first comes within `least`, m, of a segment, and of which part of it.
 
-    The time is a share of the motion. part: `BESIDE`, `START` or `END`.
+    The point moves by (m_x, m_y), m. The time is a share of this motion, or infinity. part: `BESIDE`, `START` or `END`.
     """
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     length = math.sqrt(e_x * e_x + e_y * e_y)

@@ -1,4 +1,7 @@
-"""Centres stay inside of the box and on their side of each segment, whatever the sweeps leave."""
+"""Clamps centres to the inside of the box and to their side of each segment, after the sweeps of a substep.
+
+Tests: tests/stepping/test_segments.py
+"""
 
 from __future__ import annotations
 
@@ -14,7 +17,7 @@ from deep_contact.stepping.segments import clamp_beside, clamp_beside_moving, ma
 
 @njit(cache=True)
 def any_outside(position, box):
-    """Whether a centre lies outside of the box."""
+    """Return whether a centre lies outside of the box. position: (n, 2), m."""
     x_min, y_min, x_max, y_max = box
     outside = False
     for i in range(position.shape[0]):
@@ -26,10 +29,11 @@ def any_outside(position, box):
 
 @njit(cache=True)
 def clamp_to_box(bodies, walls, solved):
-    """Clamp centres that have left the box in this step to half a radius inside of it, in place: walls win.
+    """Move centres that have left the box in this substep back inside, in place, to half a radius from the wall.
 
     A centre leaves the box only if it is pressed harder than the sweeps and position correction can withstand. solved:
-    contacts of the step. A centre that was outside of a wall before has a contact with it, which brings it back.
+    contacts at the start of the substep. A centre that was outside of a wall already then is not moved: its contact
+    with the wall brings it back.
     """
     n = bodies.mass.shape[0]
     was_outside = np.zeros((n, 4), np.bool_)
@@ -50,9 +54,9 @@ def clamp_to_box(bodies, walls, solved):
 def clamp_inside(bodies, before, walls, segments, solved, actuation, dt):
     """Clamp centres to the inside of the box and to their side of segments, in place (`clamp_to_box`, `clamp_beside`).
 
-    before: positions at the start of the substep, (n, 2), m; read only if there are segments (`positions_before`).
+    before: positions at the start of the substep, (n, 2), m, from `positions_before`; read only if there are segments.
     solved: contacts at those positions. actuation: `Actuation` of the substep, or None. dt: Δt of the substep, s.
-    Returns a circle over which a moving segment passes, or −1.
+    Returns the index of a circle over which a moving segment passes, or −1.
     """
     passed = np.int64(-1)
     if any_outside(bodies.position, walls.box):
@@ -61,8 +65,8 @@ def clamp_inside(bodies, before, walls, segments, solved, actuation, dt):
         if segments.line.shape[0] > 0 and may_cross(bodies, before, solved):
             clamp_beside(bodies, before, segments, actuation)
     if actuation is not None:
-        # Resting bodies come last, so that they win over moving ones. `clamp_beside` puts a centre between two points
-        # of the box, and so into the box.
+        # Bodies at rest are treated last, so that they have priority over moving ones. `clamp_beside` moves a centre to
+        # a point between two points in the box, which lies in the box too.
         changed, passed = clamp_beside_moving(bodies, before, segments, solved, actuation, dt)
         if any_outside(bodies.position, walls.box):
             clamp_to_box(bodies, walls, solved)
