@@ -84,7 +84,7 @@ def _silent():
     """Discard all output to file descriptor 2, the standard error, also what C++ code writes."""
     try:
         before = os.dup(2)
-    except OSError:  # a process without this descriptor, as under pythonw
+    except OSError:  # the process has no standard error, as under pythonw
         yield
         return
     with open(os.devnull, "wb") as nowhere:

@@ -200,9 +200,9 @@ def _correct(image, node, weight, features, start):
 
 
 def corrected(description: Description, coefficients: np.ndarray) -> np.ndarray:
-    """Return the corrected impulses as `correct` does, (m, 2), N·s, from coefficients that have been read already.
+    """Return the corrected impulses λ = λ_Builtin + Σ_j c_j F_j, (m, 2), N·s, not projected on the friction cone.
 
-    coefficients: c at the contacts, (m, 12). Training reads them in TensorFlow.
+    coefficients: c at the contacts, (m, 12). Training reads them from the network's output in TensorFlow.
     """
     return description.start + np.einsum("ij,ijk->ik", coefficients, description.features)
 

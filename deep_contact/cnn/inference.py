@@ -90,7 +90,7 @@ class LearnedModel:
 
     @cached_property
     def network(self):
-        """The network as a `keras.Model`, built on first use."""
+        """The network as a `keras.Model`, which is built when this attribute is first read."""
         with _compiling:
             if not isinstance(self.source, StoredNetwork):
                 return self.source

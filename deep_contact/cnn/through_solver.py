@@ -82,7 +82,7 @@ def loss_and_gradient(
     sweeps, weights, start = np.asarray(sweeps), np.asarray(weights, float), np.array(start, float)
     in_cone = np.column_stack(projected(*start.T.copy(), problem.friction))
     errors, gradient = _errors_and_gradient(problem, in_cone, sweeps, weights)
-    # The adjoint of the projection.
+    # Apply the adjoint of the projection on the friction cone.
     normal, tangent = start.T
     cut = np.abs(tangent) > problem.friction * np.maximum(normal, 0.0)
     gradient[cut, 0] += np.copysign(problem.friction, tangent[cut]) * gradient[cut, 1]

@@ -145,7 +145,7 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     parser = _parser(figure)
     args = parser.parse_args(arguments)
     if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
+        sys.stdout.reconfigure(errors="replace")  # so that a terminal that cannot show θ raises no error
     if args.jobs < 1 or (args.seed or 0) < 0:
         parser.error(f"expected --jobs of at least 1 and no negative --seed, got {args.jobs} and {args.seed}")
     if args.replot and (args.set or args.quick or args.seed is not None):

@@ -66,7 +66,7 @@ class Grid:
         for x, d, n in zip(origin, spacing, reversed(shape)):
             if not x + d * (n - 2) < x + d * (n - 1) < math.inf or not x < x + d:
                 raise ValueError(f"spacing: expected nodes that differ, got {spacing} at the origin {origin}")
-        vars(self).update(origin=origin, spacing=spacing, shape=shape)  # past the dataclass, which is frozen
+        vars(self).update(origin=origin, spacing=spacing, shape=shape)  # a frozen dataclass forbids assignments
 
     @classmethod
     def over_box(cls, box, spacing) -> Grid:

@@ -53,7 +53,10 @@ def with_bodies(scene: State, **fields) -> State:
 
 
 def loaded_silo(n: int, ratio: float, *, at: int = -1) -> State:
-    """Return a silo of n circles of radius 1 m, in which circle number `at` has `ratio` times the mass of the others."""
+    """Return a silo of n circles of radius 1 m, in which one circle has `ratio` times the mass of the others.
+
+    at: index of this circle, from the lowest.
+    """
     scene = silo(n)
     mass = scene.bodies.mass.copy()
     mass[at] *= ratio

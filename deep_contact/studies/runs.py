@@ -195,7 +195,7 @@ def observed_rows(
     common = {"seconds": seconds, "commit": commit()}
     parts = [(key, common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": setting})
              for key, (setting, count) in cases.items() for one in parallel.seeds(seed, count)]  # fmt: skip
-    parts.sort(key=lambda part: part[0][1] / part[1]["setting"]["dt"])  # quick runs first
+    parts.sort(key=lambda part: part[0][1] / part[1]["setting"]["dt"])  # runs that take little time come first
     # The observations of a case are in the order of seeds, so that those of a scene and its reference have one index.
     seen: dict[Key, list] = {key: [] for key in cases}
     tasks = [part for _, part in parts]

@@ -166,7 +166,7 @@ def paired(
 
 
 def swept_on(state: State) -> State:
-    """Return a solved state with a more accurate solution, at which `REFERENCE` arrives from the state's impulses."""
+    """Return a solved state with a more accurate solution, which `REFERENCE` computes from its impulses."""
     contacts = state.contacts
     solution = solve_contacts(state, solver=REFERENCE, start=(contacts.normal_impulse, contacts.tangent_impulse))
     better = {"normal_impulse": solution.normal_impulses, "tangent_impulse": solution.tangent_impulses}
@@ -190,7 +190,10 @@ def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> d
 
 @dataclass(frozen=True)
 class RoundedCopy:
-    """A start that is the solved impulses, rounded to `digits` significant digits and projected on the friction cone."""
+    """A start that is the solved impulses, rounded to some significant digits and projected on the friction cone.
+
+    digits: number of significant digits.
+    """
 
     digits: int
 
@@ -314,11 +317,10 @@ FLOOR = 1e-9
 
 
 def draw_comparison(data: dict, title: str, over: str | None = "builtin", hidden: Sequence[str] = ()):
-    """Draw θ against the sweep in independent runs, and the ratios of θ to that of the start `over`. Returns the
-    figure.
+    """Draw θ against the sweep in independent runs, and the ratios of θ to that of the start `over`.
 
-    data: result of `compare_starts`. over: name of the start; None draws no ratios. The ratios of starts whose θ is
-    much smaller, at most a tenth after ten sweeps, are not drawn. hidden: names of the starts whose θ is not drawn.
+    Returns the figure. data: result of `compare_starts`. over: name of the start; None draws no ratios. If a start's
+    ratio after ten sweeps is at most 0.1, its ratios are not drawn. hidden: names of the starts whose θ is not drawn.
     """
     figure, panels = plotting.subplots(1, 2 if over else 1, size=(10.0 if over else 6.0, 4.6), squeeze=False)
     (left, *right), starts, sweeps = panels[0], data["independent"], data["sweep"]

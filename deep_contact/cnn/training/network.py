@@ -198,8 +198,8 @@ class ImageRun(NetworkRun):
     def _images(self, states: np.ndarray, count: int):
         """Yield `count` batches of images.
 
-        states: (k, 2), the numbers of a simulation and of its state. A batch is a tuple: inputs (b, n_y, n_x, c) and
-        labels (b, n_y · n_x · t), float32, with c channels and t target maps.
+        states: pairs (simulation, index of the state), (k, 2). A batch is a tuple of inputs, (b, n_y, n_x, c), and
+        labels, (b, n_y · n_x · t), float32, with c channels and t target maps.
         """
         size = self.config.batch_size
         for k in range(count):
