@@ -23,8 +23,7 @@ def window_products(image: np.ndarray, kernel: np.ndarray, row: int, column: int
 
 
 def correlate(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    """Return the thesis's "convolution" I * K (Eq 4.1) at every place where the kernel lies within the image, (o_y,
-    o_x).
+    """Return the thesis's "convolution" I * K (Eq 4.1) wherever the kernel lies within the image, (o_y, o_x).
 
     image: (n_y, n_x) or (n_y, n_x, d). kernel: (k_y, k_x) or (k_y, k_x, d).
     """

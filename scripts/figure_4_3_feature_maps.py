@@ -47,8 +47,9 @@ def compute(options, seed, jobs, progress):
 
 
 def fallen(options, seed):
-    """Return the solved state of a falling pile after options["steps"] time steps. Raises ValueError if no circle
-    touches.
+    """Return the solved state of a falling pile after options["steps"] time steps.
+
+    Raises ValueError if the state has no contacts.
     """
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     state = starts.solved_states(scene, steps=options["steps"], contacts_only=False)[-1]
@@ -58,10 +59,10 @@ def fallen(options, seed):
 
 
 def errors_of_grid(model, state):
-    """Return the errors of images of impulses, N·s: name of the start -> norm of the difference to the solution's
-    image.
+    """Return the errors of images of impulses, N·s: name of the start -> error.
 
-    Only nodes count at which the solution's image is not 0, as in the loss of Appendix B.
+    An error is the norm of the difference to the image of the solution. Only nodes count at which the solution's image
+    is not 0, as in the loss of Appendix B.
     """
     contacts = state.contacts
     past = contacts._replace(normal_impulse=contacts.normal_start, tangent_impulse=contacts.tangent_start)
@@ -72,10 +73,10 @@ def errors_of_grid(model, state):
 
 
 def errors_at_contacts(model, path, state):
-    """Return the errors of the impulses at the contacts, N·s: name of the start -> norm of the difference to the
-    solution.
+    """Return the errors of the impulses at the contacts, N·s: name of the start -> error.
 
-    The norm is over normal and tangent impulses together. path: path of the model file.
+    An error is the norm of the difference to the solution, over normal and tangent impulses together. path: path of the
+    model file.
     """
     contacts = state.contacts
     solved = np.array([contacts.normal_impulse, contacts.tangent_impulse])

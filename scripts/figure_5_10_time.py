@@ -86,8 +86,9 @@ def time_to_threshold(
 
 
 def time_by_tree(state: State, *, repeats: int) -> float:
-    """Return the median processor time of a splat of the bodies by k-d tree, s (the thesis's Algorithm 2, d = h = 0.5
-    m).
+    """Return the median processor time of a splat of the bodies by k-d tree, s.
+
+    This is the thesis's Algorithm 2, with d = h = 0.5 m.
     """
     from deep_contact.sph.thesis import splat_by_tree
 
@@ -100,7 +101,7 @@ def time_by_tree(state: State, *, repeats: int) -> float:
 def compute(options, seed, jobs, progress):
     """Measure sweeps and times in settling piles of several sizes. Piles of up to 100 circles are in the thesis's box.
 
-    All runs in one process, because processor times are measured.
+    Everything runs in one process, because its processor time is measured.
     """
     one_thread()
     networks, by_size = options["networks"], {}

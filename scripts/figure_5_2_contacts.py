@@ -35,10 +35,10 @@ def compute(options, seed, jobs, progress):
 
 
 def fit(scene):
-    """Fit a straight line to the time of a solve, ms, against the number of contacts. Returns the result of
-    `linregress`.
+    """Fit a straight line to the time of a solve, ms, against the number of contacts.
 
-    The fit takes the median time for each number of contacts, because single disturbed times do not change a median.
+    Returns the result of `linregress`. The fit takes the median time for each number of contacts, because single
+    disturbed times do not change a median.
     """
     contacts, time = np.array(scene["timed contacts"]), np.array(scene["time (ms)"])
     counts = np.unique(contacts)

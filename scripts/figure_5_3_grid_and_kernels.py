@@ -13,8 +13,9 @@ SMALLEST = 0.5**0.5
 
 
 def compute(options, seed, jobs, progress):
-    """Simulate a pile, and count for several h / d the nodes within h of each contact, and for several d the contacts
-    in each cell.
+    """Simulate a pile, and count nodes and contacts in its last state.
+
+    The counts are the nodes within h of each contact, for several h / d, and the contacts in each cell, for several d.
     """
     state = dc.simulate(starts.scene_of(options, seed), steps=options["steps"], solver=dc.PGS()).state
     if not state.contacts.count:

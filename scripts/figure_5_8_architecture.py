@@ -38,8 +38,10 @@ def claims(data):
 
 
 def draw(data, options):
-    """Draw two panels. Above: each layer as a bar, whose height shows the image's height and whose width the number of
-    channels. Below: the number of the layer's parameters.
+    """Draw two panels.
+
+    Above, each layer is a bar, whose height shows the height of its image, and whose width shows the number of its
+    channels. Below are the numbers of the layers' parameters.
     """
     from matplotlib.patches import Patch
 

@@ -168,8 +168,10 @@ def claims(data):
 
 
 def draw(data, options):
-    """Draw four panels: the intervals' widths against friction, number of circles and radii, with the median and range
-    of the piles; and the errors of the answers.
+    """Draw four panels.
+
+    Three have the widths of the intervals against friction, number of circles and radii, with the median and range of
+    the piles. The fourth has the errors of the answers.
     """
     figure, panels = plotting.subplots(2, 2, size=(plotting.PAGE, 6.0))
     axes = [panels[0, 0], panels[0, 0], panels[0, 1], panels[1, 0]]

@@ -92,8 +92,10 @@ def verdict(one, preset):
 
 
 def claims(data):
-    """Yield claims for each number of circles: on the ratios of times, on presets that only one engine keeps, and on
-    whether the setting that `accuracy=` takes keeps the tolerances of its preset.
+    """Yield claims for each number of circles.
+
+    They are on the ratios of times, on presets that only one engine keeps, and on whether the setting that `accuracy=`
+    takes keeps the tolerances of its preset.
     """
     for n in runs.sizes_of(data["scenes"]):
         cells = {f"{one['scene']}, {preset}": (one, preset) for one in data["scenes"] if one["n_bodies"] == n
@@ -136,8 +138,10 @@ def cell(one):
 
 
 def draw(data, options):
-    """Draw the ratios of times with their intervals: a panel for each size, a line for each scene, a colour for each
-    preset. An arrow means that only this package keeps the preset.
+    """Draw the ratios of times with their intervals.
+
+    There is a panel for each size, a line for each scene and a colour for each preset. An arrow means that only this
+    package keeps the preset.
     """
     sizes, names = runs.sizes_of(data["scenes"]), list(dict.fromkeys(one["scene"] for one in data["scenes"]))
     size = (plotting.PAGE, 0.7 * len(names) + 1.3)

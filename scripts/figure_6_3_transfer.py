@@ -174,8 +174,10 @@ CLAIMS = [
     ("the authors' sharing loses less than our consistent transfer",
      "authors' sharing", "consistent", None, verdicts.FASTER),
 ]  # fmt: skip
-"""Claims: (text, name of the loss that is judged, name of the loss that divides it or None, place in the thesis or
-None, range of the ratio)."""
+"""Claims on the ratio of two losses, or on one loss if the second name is None.
+
+A claim is (text, name of the loss, name of the loss that divides it or None, place in the thesis or None, range).
+"""
 
 
 def claims(data):
@@ -203,8 +205,7 @@ def table(data):
 
 
 def draw(data, options):
-    """Draw the relative error of the impulses against d = h for every way, in piles of equal circles and of mixed
-    radii.
+    """Draw the relative error of the impulses against d = h for every way, for equal circles and for mixed radii.
 
     The axis of the error is linear. A loss above a tenth matters for a start, and the size of a small loss does not.
     The table has the small losses.

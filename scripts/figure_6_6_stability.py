@@ -436,8 +436,11 @@ LOOKS = {"ours": (plotting.BLUE, "o")} | {name: (plotting.GREY, plotting.ENGINE_
 
 
 def draw(data, options):
-    """Draw three panels. Left: the verdict for each value, from the least to the largest, this package above the
-    others. Middle and right: final penetration and time of a step, median and range over the safe and degraded values.
+    """Draw three panels.
+
+    The left panel has the verdict for each value, from the least to the largest, with this package above the others.
+    The other panels have the final penetration and the time of a step, median and range over the safe and degraded
+    values.
     """
     from matplotlib.patches import Patch
 

@@ -91,7 +91,7 @@ def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
 
 
 def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
-    """Measure the time that sleeping, and no position correction, save in a resting pile.
+    """Measure the time that a resting pile saves if it sleeps, and without position correction.
 
     Returns name of the saving -> result of `ratio`, whose times are those of a step with `STEP`, s. Its entry "apart"
     is the largest distance between circles after `steps` steps with and without the saving, m.

@@ -55,8 +55,7 @@ def settings_with(starts: Iterable[str]) -> dict:
 
 
 def errors_of(state: State, impulses: Mapping, settings: Mapping, sweeps: Sequence, solution: ContactSolution) -> dict:
-    """Return the velocity errors of some settings in a state: name of the setting -> errors after each number of
-    sweeps.
+    """Return velocity errors in a state: name of the setting -> errors after each number of sweeps.
 
     impulses: name of the start -> its impulses (λ_n, λ_t), N·s. settings: result of `settings_with`. sweeps: numbers of
     sweeps. solution: the reference solution.

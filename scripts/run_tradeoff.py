@@ -65,8 +65,11 @@ SMALL = [
     *settings({(1, 8, 0.25): (6,), QUARTER: (3, 5)}, **COLOURS),
     *settings({1: (6,), HALF: (3, 5), QUARTER: (5,)}, **COLOURS, **FEW),
 ]
-"""Settings for most kinds of scenes. Presets with large tolerances take fixed numbers of sub-steps. Presets with small
-tolerances take numbers of sub-steps that depend on the motion."""
+"""Settings for most kinds of scenes.
+
+Those with fixed numbers of sub-steps are for presets with large tolerances. Those with numbers of sub-steps that depend
+on the motion are for presets with small tolerances.
+"""
 
 LARGE = [
     *settings({QUARTER: (4,)}, **PGS),
@@ -124,8 +127,10 @@ LARGEST_LADDER = [
     *settings({1: (10,)}, **COLOURS, **FEW),
     *settings({2: (10,), 4: (5,)}, **COLOURS),
 ]
-"""Settings for plain piles of 10,000 circles: to compare small time steps, and some that kept a preset in earlier
-studies."""
+"""Settings for plain piles of 10,000 circles, to compare small time steps.
+
+Some are here because they kept a preset in earlier studies.
+"""
 
 PYMUNK, BOX2D, BOX2D_V3 = {"engine": "pymunk"}, {"engine": "Box2D 2.3"}, {"engine": "Box2D v3"}
 BY_SLOP = {1: (4, 6, 10, 20, 30), 2: (2, 3, 4, 6, 10), 4: (1, 2, 3, 4), 8: (1, 2)}
@@ -336,8 +341,9 @@ def installed(data: Mapping, cpu: str) -> dict:
 
 
 def claims(data: Mapping) -> Iterator[Claim]:
-    """Yield claims for each number of circles: whether settings keep the presets, and the ratio of times to other
-    engines.
+    """Yield two claims for each number of circles.
+
+    They say whether settings keep the presets, and how long the fastest other engine takes for them.
     """
     for n in runs.sizes_of(data["presets"]):
         mine = {row["preset"]: row for row in data["presets"] if row["n_bodies"] == n}

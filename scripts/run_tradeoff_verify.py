@@ -172,8 +172,9 @@ def table(data):
 
 
 MEDIUM = [kind for kind in KINDS if kind != "silo"]
-"""Kinds of scenes with 300 and 1,000 circles. The silo is left out: solvers of high silos run to a tolerance, for
-hours.
+"""Kinds of scenes with 300 and 1,000 circles.
+
+The silo is left out. The solver of a high silo runs until a tolerance is reached, which takes hours.
 """
 
 LARGE = ["plain", "narrow radii", "hopper", "terrain", "piston", "low dam", "densities 1 : 5", "heavy on light 1 : 5"]

@@ -81,7 +81,7 @@ class Spec:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageSpec(Spec):
-    """The definition of an image: a splat with the kernel poly6, normalised by particle. By default it is the thesis's.
+    """The definition of an image: a splat with the kernel poly6, normalised by particle. The defaults are the thesis's.
 
     spacing: distance of neighbouring nodes, m. support: support radius h of the splat, m.
     """

@@ -176,8 +176,8 @@ class LearnedModel:
     def _compile(self, shape, output):
         """Return a function (input image) -> output image, for images of one shape.
 
-        TensorFlow traces the network once for it. So a call has not the overhead of `keras.Model.predict`. shape: of
-        the input image. output: shape of the output image.
+        TensorFlow traces the network once for it. So a call does not have the overhead of `keras.Model.predict`. shape:
+        of the input image. output: shape of the output image.
         """
         from deep_contact.cnn.backend import tensorflow as tf
 

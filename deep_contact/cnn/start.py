@@ -42,8 +42,7 @@ class Cnn(FromProblem):
 
 @dataclass(frozen=True)
 class FarFieldNoPast(Cnn):
-    """The start `Support`, corrected by a far-field network, for piles whose contacts have no impulses of a step
-    before.
+    """The start `Support`, corrected by a far-field network, for contacts without impulses of a step before.
 
     If the contacts have such impulses, the start `Builtin` is better. model: as for `Cnn`, a far-field network that was
     trained to correct the start `Support`.

@@ -1,12 +1,12 @@
 """Training through the solver: the velocity error after some sweeps of Projected Gauss-Seidel, and its exact gradient.
 
 The network predicts a start, the impulses λ before the first sweep. A good start leaves small velocity errors after a
-few sweeps. The error of λ itself is no measure, because λ is not unique, and because one sweep removes some errors. So
-the loss is the velocity error after a few sweeps of the engine's own solver, with the contacts in its own order.
+few sweeps. The error of λ itself is no measure, because λ is not unique, and because some errors vanish in one sweep.
+So the loss is the velocity error after a few sweeps of the engine's own solver, with the contacts in its own order.
 
 The gradient of the loss with respect to the start is computed by the adjoint of the sweeps. The adjoint passes over the
-contacts in reverse order, once for each sweep. It takes the same rows as clamped as the forward pass did. This gives
-the derivative almost everywhere.
+contacts in reverse order, once for each sweep. A row counts as clamped in it if the forward pass clamped the row. This
+gives the derivative almost everywhere.
 """
 
 from __future__ import annotations
@@ -201,7 +201,7 @@ def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
 def _by_change(rows, velocity, by_velocity, i):
     """Return the derivatives of the loss with respect to the normal and the tangent impulse of contact i.
 
-    They count the effect of the impulses through the velocities that they change. by_velocity: derivatives of the loss
+    Only the effect through the velocities that these impulses change is counted. by_velocity: derivatives of the loss
     with respect to the velocities, (n + 4, 3).
     """
     a, b, row = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i]

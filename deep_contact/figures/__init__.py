@@ -1,4 +1,4 @@
-"""The frame of the figure and table scripts: settings, results files, claims and pictures."""
+"""The common part of the figure and table scripts: settings, results files, claims and pictures."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ REFERENCE = Path(__file__).resolve().parents[2] / "data" / "reference"
 """Folder of the results of the full runs, the reference runs. It exists in a checkout of the repository only."""
 
 OPEN = "too few states to tell"
-"""Verdict on a claim for which a small run does not agree with the reference run."""
+"""Verdict on a claim of a small run, if the small run and the reference run disagree."""
 
 _VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 

@@ -33,8 +33,10 @@ STUDIES = {
     "benchmark_engine": ["benchmark.py", "engine"],
     "benchmark_live": ["benchmark.py", "live"],
 }
-"""Results file in data/reference -> the script that writes it, and the arguments of the script, for files that are not
-of a figure or table."""
+"""Results file in data/reference -> [script that writes it, arguments of the script].
+
+Files of figures and tables are not listed here.
+"""
 
 TIMES = frozenset([*STUDIES, *(f"figure_{number}" for number in ("5_2", "5_10", "6_6", "6_7", "6_16"))])
 """Names of the results files that hold measured times."""

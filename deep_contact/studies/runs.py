@@ -52,11 +52,11 @@ SECONDS = 6.0
 
 
 def gas(n_bodies: int, *, gap: float = 1.0, restitution: float = 0.8, seed: int = 0) -> State:
-    """Return a gas: circles on a loose lattice without gravity, with random velocities. Collisions dissipate its
-    energy.
+    """Return a gas: circles on a loose lattice without gravity, with random velocities.
 
-    The largest possible speed is the one for which the time steps are meant, `FASTEST` √(g r) with r = 1 m and
-    g = 9.81 m/s². gap: gap between neighbouring circles over their diameter. restitution: Newton's e.
+    Collisions dissipate its energy. The largest possible speed is the one for which the time steps are meant, `FASTEST`
+    √(g r) with r = 1 m and g = 9.81 m/s². gap: gap between neighbouring circles over their diameter. restitution:
+    Newton's e.
     """
     rng = np.random.default_rng(seed)
     lattice = lattice_in_box(n_bodies, gap=gap, restitution=restitution, gravity=(0.0, 0.0), seed=rng)

@@ -2,8 +2,8 @@
 
 A start is the impulses from which the solver begins. The convergence rate θ is the largest change of an impulse in a
 sweep, N·s. Starts are compared in two modes. In the mode "paired", one reference run makes states, and each of them is
-solved from every start, so that only the start differs. In the mode "independent", the thesis's, a simulation is run
-with each start.
+solved from every start, so that only the start differs. In the mode "independent", as in the thesis, each start has a
+simulation of its own.
 
 Tests: tests/starts/test_starts.py, tests/studies/test_chapter_5.py, tests/studies/test_verdicts.py
 """
@@ -76,7 +76,7 @@ The thesis has no list. Its text names 0.25 m and 0.5 m, and its authors' code h
 """
 
 SPACING = 0.5
-"""Spacing d of the grid that the thesis chooses, and support radius h, m."""
+"""Grid spacing d and support radius h that the thesis chooses, m. They are equal."""
 
 CHOSEN = {name: {"spacing": SPACING, "transfer": transfer} for name, transfer in TRANSFERS.items()}
 """Start -> fields of `Sph`, with the thesis's choice d = h = 0.5 m and the start's transfer."""
@@ -297,10 +297,9 @@ def compare_starts(
 
 
 def table_of_starts(data: dict) -> list[list]:
-    """Return the rows of a figure's table: for each mode and start the sweeps to the threshold, and θ after some
-    sweeps.
+    """Return the rows of a figure's table, one for each mode and start.
 
-    data: result of `compare_starts`.
+    A row has the sweeps to the threshold, and θ after some numbers of sweeps. data: result of `compare_starts`.
     """
     last = data["sweep"][-1]
     shown = [s for s in (10, 100, 1000) if s < last] + [last]

@@ -1,5 +1,6 @@
-"""Settings of a training run. This module does not import TensorFlow, so that `scripts/train.py --help` answers at
-once.
+"""Settings of a training run.
+
+This module does not import TensorFlow, so that `scripts/train.py --help` answers at once.
 
 Tests: tests/cnn/test_training.py
 """
@@ -19,9 +20,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingConfig:
-    """Settings of a training run. The defaults are for the far-field network; `recipe` has those of the thesis's
-    network.
+    """Settings of a training run.
 
+    The defaults are for the far-field network. `recipe` also has the settings of the thesis's network.
     The loss of the far-field network is computed through the solver. It is the velocity error after each number of
     `sweeps`, relative to that from Builtin's start, averaged over the numbers. The loss of the thesis's network is the
     masked squared error of the image (Appendix B). Raises ValueError naming the field and the value.

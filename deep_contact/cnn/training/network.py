@@ -40,7 +40,7 @@ class NetworkRun:
     """A training run of a network. Subclasses define the methods `batches`, `step` and `validate`.
 
     config: settings. store: the simulations. states, validation: training and validation states as pairs (simulation,
-    index), (k, 2). network: the first network, or None to build one. options: arguments of `architectures.build`.
+    index), (k, 2). network: the network to train, or None to build one. options: arguments of `architectures.build`.
     Attributes: box is the world's box, m, for a network of fixed size, or None. history has a dict for each finished
     epoch, name of the column in history.csv -> value.
     """
@@ -56,8 +56,10 @@ class NetworkRun:
         self.model.optimizer = self.optimizer  # Keras's callbacks read this attribute
         kinds = {"model": self.model.variables, "optimizer": self.optimizer.variables}
         self.variables = {f"{kind}_{i:04d}": v for kind, of_kind in kinds.items() for i, v in enumerate(of_kind)}
-        """All variables that a training step changes: weights, statistics of batch normalisation, random states of
-        dropout, and variables of the optimizer."""
+        """All variables that a training step changes.
+
+        They are weights, statistics of batch normalisation, random states of dropout, and variables of the optimizer.
+        """
         self.history = []
 
     def batches_per_epoch(self) -> int:
