@@ -1,12 +1,13 @@
 """python scripts/all_figures.py [--quick] [--only 3.7,5.9,T5.1] [--out figures] [--jobs J] …
 
-Runs every scripts/figure_*.py and scripts/table_*.py in the order of their numbers, and prints a summary. A failure
-does not stop the others.
+Runs every scripts/figure_*.py and scripts/table_*.py in the order of their numbers, and prints a summary. If a script
+fails, the others still run.
 
-`--stale` lists the old files of data/reference, which other code or inputs than today's made: why each is old, and how
-long it took. `--references` makes these files again, the cheap ones first, those that hold times last, on a machine
-that does nothing else; then the tables of the documentation. A file that is true is kept, so the command goes on where
-it was stopped. Exit status: 0 if all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl-C.
+A file of data/reference is old if other code or inputs than the present ones made it. `--stale` lists the old files,
+the reason for each, and its computing time. `--references` makes these files again, and then the tables of the
+documentation. Files that take little time come first, and files with measured times come last. The machine should run
+nothing else. Files that are not old are left as they are. So the command can be interrupted and started again. Exit
+status: 0 if all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl-C.
 """
 
 import argparse
@@ -24,13 +25,13 @@ from deep_contact.figures.results import REFERENCE
 from deep_contact.io.scripts import choose, find, stem
 
 INTERRUPTS = (INTERRUPTED, -signal.SIGINT)
-"""Exit statuses of a script that Ctrl-C has ended; the second is that of a script that could not catch it yet."""
+"""Exit statuses of a script that Ctrl-C has ended. The second is that of a script that has not set its handler yet."""
 
 HERE = Path(__file__).resolve().parent
 
 
 def main(arguments=None, folder=HERE):
-    """Run the scripts of a folder; the exit status."""
+    """Run the command line on the scripts of a folder. Returns the exit status."""
     args, passed_on = parse(arguments)
     try:
         scripts = find(folder)
@@ -64,7 +65,7 @@ def main(arguments=None, folder=HERE):
 
 
 def parse(arguments):
-    """The arguments, and the list of those that are passed on to every script."""
+    """Parse the command line. Returns the parsed arguments, and the list of arguments to pass on to every script."""
     layout, common = argparse.RawDescriptionHelpFormatter, common_arguments("each script's own")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout, parents=[common])
     add = parser.add_argument
@@ -80,23 +81,26 @@ def parse(arguments):
 
 
 def duration(seconds):
-    """A time in seconds as a text, such as "2:40:00"."""
+    """Return a time as a text, such as "2:40:00". seconds: the time, s."""
     return str(timedelta(seconds=round(seconds)))
 
 
 def timed(command):
-    """Exit status of a script, and its time, s."""
+    """Run a script. Returns its exit status and its time, s. command: path of the script, then its arguments."""
     start = time.perf_counter()
     with subprocess.Popen([sys.executable, *map(str, command)]) as process:
         try:
             status = process.wait()
         except KeyboardInterrupt:
-            status = INTERRUPTED  # the script got Ctrl-C as well; the block ends once it has cleaned up
+            status = INTERRUPTED  # the script got Ctrl-C as well; leaving the block waits until it has cleaned up
     return status, time.perf_counter() - start
 
 
 def summarise(done):
-    """Print a line for each script: its status, time, and number of claims that hold."""
+    """Print a line for each script: its status, its time, and the number of its claims that hold.
+
+    done: (name, exit status, time, s, path of the results file or None) of each script.
+    """
     print("\nid     status       time/s  claims that hold")
     for name, status, seconds, stored in done:
         word, held = "interrupted" if status in INTERRUPTS else "failed" if status else "done", "–"

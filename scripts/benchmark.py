@@ -1,9 +1,12 @@
-"""python scripts/benchmark.py NAME [--quick] [--set NAME=VALUE] …: timings, in turns, of which the least counts.
+"""python scripts/benchmark.py NAME [--quick] [--set NAME=VALUE] …: computing times of this package and other engines.
 
-engine   ours beside Box2D 2.3, pymunk and Box2D v3 on the same piles: the cost of a sweep, of a step, and the overhead
-live     settled piles as users step them: in one call, step by step, watched; beside other programs; the first call
+engine   the time of a sweep and of a step, and the overhead, on the same piles in this package and in Box2D 2.3, pymunk
+         and Box2D v3
+live     the time of a step of settled piles in one call, step by step and with a callback, with 0, 1 or 2 busy
+         processes beside it; and the time of the first run of a process
 
-Nothing else should run meanwhile. The files are benchmark_NAME.json and its picture, in figures/ or in --out.
+Each time is the least of several, which are measured in turns. No other program should run at the same time. The files
+are benchmark_NAME.json and its picture, in figures/ or in --out.
 """
 
 from __future__ import annotations
@@ -28,24 +31,27 @@ from deep_contact.state.state import State
 from deep_contact.studies import piles, timing
 
 POSITION_SWEEPS = 3
-"""Most sweeps of position correction in a step."""
+"""Largest number of sweeps of position correction in a step."""
 FEW = 10
-"""Sweeps of a step as users choose them."""
+"""Number of sweeps in a step that users typically choose."""
 MANY = 100
-"""Sweeps of a step whose time is nearly that of its sweeps."""
+"""Number of sweeps with which nearly all the time of a step is that of its sweeps."""
 BLOCKS = (FEW, MANY, MANY, FEW)
-"""Sweeps of the blocks of steps that are timed. In this order the change of a falling pile cancels out."""
+"""Number of sweeps in each block of steps that is timed. In this order the effect of a pile's change cancels."""
 WARM_UP = 10
-"""Steps of each engine before timing: caches, search for pairs and starting impulses settle."""
+"""Number of steps that each engine does before the timing, so that caches, pairs and initial impulses have settled."""
 
 
 def fixed_sweeps(sweeps: int, method=PGS, **options):
-    """A solver of exactly `sweeps` sweeps, and at most `POSITION_SWEEPS` sweeps of position correction."""
+    """Return a solver that does exactly `sweeps` sweeps, and at most `POSITION_SWEEPS` sweeps of position correction.
+
+    method: class of the solver. options: further arguments of this class.
+    """
     return method(sweeps=sweeps, tolerance=None, position_sweeps=POSITION_SWEEPS, **options)
 
 
 def made_pile(kind: str, n_bodies: int, seed: int) -> State:
-    """A pile with contacts. kind: "settled", or "falling" with at least one contact per circle."""
+    """Return a pile with contacts. kind: "settled", or "falling", which has at least one contact per circle."""
     kind = {"settled": "resting"}.get(kind, kind)
     return piles.pile(kind, n_bodies, seed, solver=fixed_sweeps(FEW), most=3000, make=dc.lattice_in_box)
 
@@ -54,17 +60,20 @@ def made_pile(kind: str, n_bodies: int, seed: int) -> State:
 
 
 class Ours:
-    """Our engine as users run it, one `simulate` for a block of steps, as an adapter of `peers`. options: of PGS."""
+    """This package with the interface of the other engines' adapters in `peers`. A block of steps is one `simulate`.
+
+    state: the scene. options: arguments of `fixed_sweeps`.
+    """
 
     def __init__(self, state: State, **options):
         self.state, self.options = state, options
 
     def run(self, steps: int, dt: float, sweeps: int, position_sweeps: int) -> None:
-        """Do `steps` steps of the state's own Δt. dt and position_sweeps are ignored."""
+        """Do `steps` steps with `sweeps` sweeps each and the Δt of the state. dt and position_sweeps are ignored."""
         self.state = dc.simulate(self.state, steps=steps, solver=fixed_sweeps(sweeps, **self.options)).state
 
     def contact_count(self) -> int:
-        """Number of contacts at the present positions."""
+        """Return the number of contacts at the present positions."""
         return self.state.contacts.count
 
 
@@ -73,7 +82,7 @@ ENGINES = {
     "ours": Ours,
     "in colours": partial(Ours, method=BatchedPGS),
 } | PEERS
-"""Name -> callable that takes a state and returns an adapter."""
+"""Name of an engine -> function that returns an adapter for a state."""
 
 GOALS = {
     "A sweep costs at most a quarter of pybox2d's": ("sweep_ns", ["Box2D 2.3"], 0, 4.0),
@@ -82,13 +91,15 @@ GOALS = {
     "The overhead is below pybox2d's and pymunk's": ("overhead_us", ["Box2D 2.3", "pymunk"], 0, 1.0),
     "The overhead is below Box2D v3's from 1,000 on": ("overhead_us", ["Box2D v3"], 1000, 1.0),
 }  # fmt: skip
-"""Claim -> cost, engines, the smallest pile that counts, and the factor to reach."""
+"""Claim -> (cost, other engines, number of circles from which it is judged, least ratio of their cost to ours)."""
 
 
 def costs(seconds: np.ndarray, contacts: np.ndarray, steps: int) -> dict[str, float]:
-    """Costs, fitted to: time of a step = overhead + cost · sweeps · contacts. seconds, contacts: of `BLOCKS`, (4,).
+    """Fit the costs in: time of a step = overhead + cost · sweeps · contacts. Returns name of the cost -> value.
 
-    A sweep of Box2D v3 is a substep, which goes over the contacts twice; a sweep of pymunk corrects positions as well.
+    The sweep of Box2D v3 is a sub-step, which passes over the contacts twice. The sweep of pymunk also corrects
+    positions. seconds: time of each of `BLOCKS`, s, (4,). contacts: sum of the contacts over its steps, (4,). steps:
+    number of steps in a block.
     """
     few = np.array(BLOCKS) == FEW
     ends = ((sweeps * contacts[of].sum(), seconds[of].sum()) for sweeps, of in ((FEW, few), (MANY, ~few)))
@@ -100,7 +111,11 @@ def costs(seconds: np.ndarray, contacts: np.ndarray, steps: int) -> dict[str, fl
 
 
 def costs_of_engines(state: State, steps: int, repeats: int) -> dict[str, dict]:
-    """Name of the engine -> its `costs` on a pile, from which every repeat starts. Contacts are counted untimed."""
+    """Return the costs of each engine on a pile: name of the engine -> result of `costs`.
+
+    state: the pile, with which every repeat begins. steps: number of steps in a block. repeats: number of timed runs.
+    The contacts are counted in a run that is not timed.
+    """
     worlds, contacts = {}, {}
 
     def run(name, steps, sweeps):
@@ -130,10 +145,11 @@ def costs_of_engines(state: State, steps: int, repeats: int) -> dict[str, dict]:
 
 
 def engine(options, seed, jobs, progress):
-    """Costs of ours and of the peers on settled and falling piles."""
+    """Measure the costs of this package and of other engines on settled and falling piles."""
     cases, names = [], ("sweep_ns", "overhead_us", "step_us")
     for n_bodies, kind in progress([*product(options["sizes"], ("settled", "falling"))], text="piles"):
-        # Enough steps that the fixed cost of a `simulate` does not count, and few where the pile would land.
+        # The steps are so many that the fixed cost of `simulate` is negligible, and so few that a falling pile still
+        # falls.
         steps = int(np.clip(300_000 // n_bodies, 10, options["steps"][kind]))
         state = made_pile(kind, n_bodies, seed).replace(contacts=None, solver=None, solved=False)
         measured = costs_of_engines(state, steps, options["repeats"])
@@ -143,7 +159,7 @@ def engine(options, seed, jobs, progress):
 
 
 def engine_table(data):
-    """The costs of every engine on every pile."""
+    """Return the rows of the table: the costs of every engine on every pile."""
     names = ["contacts", "sweep_ns", "overhead_us", "step_us"]
     rows = [[case["n_bodies"], case["kind"], engine, *(cost[name] for name in names)]
             for case in data["cases"] for engine, cost in case["engines"].items()]  # fmt: skip
@@ -151,7 +167,7 @@ def engine_table(data):
 
 
 def claims(data: dict) -> Iterator[Claim]:
-    """The goals of the engine, by its worst measured ratios."""
+    """Yield the claims of `GOALS`, which the worst measured ratios decide."""
     for text, (cost, names, smallest, factor) in GOALS.items():
         large = [case for case in data["cases"] if case["n_bodies"] >= smallest]
         if met := {
@@ -165,7 +181,10 @@ def claims(data: dict) -> Iterator[Claim]:
 # ---- as users step ----
 
 DEFAULTS = {"Box2D 2.3": (8, 3), "pymunk": (10, 0), "Box2D v3": (4, 0)}
-"""Engine -> (sweeps or substeps, position sweeps) of a step that its documentation recommends; ours has "fast"."""
+"""Engine -> (sweeps or sub-steps, position sweeps) of a step that its documentation recommends.
+
+This package runs with the preset "fast".
+"""
 
 FIRST = """
 import deep_contact as dc
@@ -179,11 +198,14 @@ SCENES = {
     "hopper, fast": ("dc.hopper(100, opening=4.0)", "fast"),
     "drum, fast": ("dc.drum(100, froude=0.5)", "fast"),
 }
-"""First run of a new process -> its scene, and its preset. The code has been compiled before."""
+"""Name of the first run of a new process -> (its scene, its preset). The code has been compiled before."""
 
 
 def ways_of(state: State, steps: int) -> dict:
-    """Name -> callable that does `steps` steps of a pile: ours in four ways, and each peer step by step."""
+    """Return functions that do `steps` steps of a pile: name -> function.
+
+    This package does them in four ways, and each other engine step by step.
+    """
     live, each = dc.Simulator(state, accuracy="fast"), [state]
 
     def one_by_one():
@@ -206,7 +228,7 @@ def ways_of(state: State, steps: int) -> dict:
 
 @contextmanager
 def beside(count: int):
-    """Run `count` other processes, each of which uses a core."""
+    """Run `count` other processes in the background, each of which uses a core."""
     with ExitStack() as stack:
         for _ in range(count):
             busy = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
@@ -215,7 +237,7 @@ def beside(count: int):
 
 
 def live(options, seed, jobs, progress):
-    """Microseconds of a step, the least, the median and the most of all repeats, beside 0, 1 and 2 busy processes."""
+    """Measure the time of a step, μs: least, median and largest of all repeats, beside 0, 1 and 2 busy processes."""
     runs = []
     for n_bodies in progress(options["sizes"], text="sizes"):
         state = made_pile("settled", n_bodies, seed).replace(contacts=None, solver=None, solved=False)
@@ -235,7 +257,10 @@ def live(options, seed, jobs, progress):
 
 
 def live_table(data):
-    """Microseconds of a step in every way: the least on a quiet machine, the median beside busy processes."""
+    """Return the rows of the table: the time of a step for every way of stepping, μs.
+
+    It is the least of the repeats without busy processes, and the median beside busy processes.
+    """
     rows = [[run["n_bodies"], run["busy"], *(f"{us[run['busy'] > 0]:,.1f}" for us in run["us"].values())]
             for run in data["runs"]]  # fmt: skip
     return [["circles", "busy processes", *(f"{way}, µs" for way in data["runs"][0]["us"])], *rows]
@@ -254,7 +279,7 @@ FIGURES = {
         quick={"sizes": [10], "busy": [0, 1], "work": 50, "repeats": 2, "first": []}, file="benchmark_live",
     ),
 }  # fmt: skip
-"""Name on the command line -> its figure."""
+"""Name of a benchmark on the command line -> its figure."""
 
 if __name__ == "__main__":
     if sys.argv[1:2] and sys.argv[1] in FIGURES:

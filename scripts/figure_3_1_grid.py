@@ -1,4 +1,4 @@
-"""python scripts/figure_3_1_grid.py: the grid over a scene: its nodes, its cells and their size d."""
+"""python scripts/figure_3_1_grid.py: the grid over a scene, with its nodes, its cells and their size d."""
 
 import numpy as np
 
@@ -9,14 +9,14 @@ from deep_contact.plot import plotting
 
 
 def compute(options, seed, jobs, progress):
-    """The thesis's scene and the nodes of a grid over its box."""
+    """Make the thesis's scene and the nodes of a grid over its box."""
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     x, y = sph.Grid.over_box(scene.world.box, options["d"]).nodes
     return {"scene": plotting.state_data(scene), "d": options["d"], "x": x, "y": y}
 
 
 def draw(data, options):
-    """Left: the whole scene. Right: one circle with the nodes, a cell and its sides."""
+    """Draw two panels. Left: the whole scene. Right: one circle with the grid's nodes, a cell and its sides."""
     from matplotlib.patches import Rectangle
 
     scene, d = plotting.state_of(data["scene"]), data["d"]

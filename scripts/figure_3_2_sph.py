@@ -1,4 +1,4 @@
-"""python scripts/figure_3_2_sph.py: SPH at one point: its support radius and the weights of its neighbours."""
+"""python scripts/figure_3_2_sph.py: a point, its support radius, and the SPH weights of its neighbours."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from deep_contact.plot import plotting
 
 
 def compute(options, seed, jobs, progress):
-    """Random particles around a point, their distances and weights W(r, h)."""
+    """Make random particles around a point, and compute their distances r, m, and weights W(r, h), m⁻²."""
     half = options["size"] / 2
     position = np.random.default_rng(seed).uniform(-half, half, (options["particles"], 2))
     distance = np.hypot(*position.T)
@@ -23,7 +23,7 @@ def compute(options, seed, jobs, progress):
 
 
 def draw(data, options):
-    """Left: the particles around the point. Right: their weights over their distances."""
+    """Draw two panels. Left: the particles around the point. Right: their weights against their distances."""
     from matplotlib.patches import Circle
 
     figure, (ax, curve) = plotting.subplots(1, 2, size=(8.4, 3.9), width_ratios=(1, 1.1))

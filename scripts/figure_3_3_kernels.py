@@ -1,4 +1,4 @@
-"""python scripts/figure_3_3_kernels.py: the smoothing kernels W(r), with the thesis's constants and in 2-D."""
+"""python scripts/figure_3_3_kernels.py: the smoothing kernels W(r), with constants for three and for two dimensions."""
 
 from itertools import product
 
@@ -10,12 +10,12 @@ from deep_contact.figures import Claim, Figure
 from deep_contact.plot import plotting
 
 SPACES = {"the plane": lambda r: 2 * np.pi * r, "space": lambda r: 4 * np.pi * r**2}
-"""Where a kernel is integrated -> size of the shell at a distance."""
+"""Name of the space over which a kernel is integrated -> length or area of the shell at the distance r."""
 DIMENSIONS = {"3": "in space, the constants of Eq 3.8 and 3.11", "2": "on the plane, as the simulation is"}
 
 
 def compute(options, seed, jobs, progress):
-    """W at distances up to 1.1 h, and its integrals over space and over the plane by quadrature."""
+    """Compute W at distances up to 1.1 h, and its integrals over space and over the plane by quadrature."""
     h, r, kernels = options["h"], np.linspace(0.0, 1.1 * options["h"], options["points"]), options["kernels"]
     curves = {kernel: {dim: sph.value(kernel, r, h, dim=int(dim)) for dim in DIMENSIONS} for kernel in kernels}
     integrals = {}
@@ -26,7 +26,10 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """Eq 3.2: the integral of a kernel is one. The thesis uses the constants of space on the plane."""
+    """Yield claims on the integrals of the kernels, which are one by Eq 3.2, and on their sign.
+
+    The thesis uses the constants of three dimensions in its simulation on the plane.
+    """
     right = "2-D constant over the plane", "3-D constant over space"
     for text, thesis, chosen in (
         ("each kernel integrates to one in the dimension of its constant", "Eq 3.2", right),
@@ -40,7 +43,7 @@ def claims(data):
 
 
 def draw(data, options):
-    """One panel for each dimension."""
+    """Draw W against the distance, with a panel for each dimension."""
     figure, panels = plotting.subplots(1, 2, size=(8.4, 3.6), sharey=True)
     styles = plotting.styles_of(data["curves"])
     for ax, (dim, text) in zip(panels, DIMENSIONS.items()):

@@ -8,11 +8,11 @@ from deep_contact.plot import plotting
 
 DIMENSIONS = {"3": "in space, the constants of Eq 3.9 and 3.12", "2": "on the plane"}
 CENTRE = 1e-9
-"""The smallest distance from the centre, in support radii: at the centre itself no direction is defined."""
+"""Smallest distance from the centre that is drawn, in support radii. At the centre itself no direction is defined."""
 
 
 def compute(options, seed, jobs, progress):
-    """dW/dx on the positive x axis; on the negative axis it has the opposite sign."""
+    """Compute dW/dx on the positive x axis. On the negative x axis it has the opposite sign."""
     h = options["h"]
     x = np.concatenate([[CENTRE * h], np.linspace(0, 1.1 * h, options["points"])[1:]])
 
@@ -35,7 +35,7 @@ def claims(data):
 
 
 def draw(data, options):
-    """One panel for each dimension; the jump of the spiky kernel's gradient is left open."""
+    """Draw dW/dx with a panel for each dimension. No line joins the two sides of the jump of the spiky kernel."""
     figure, panels = plotting.subplots(1, 2, size=(8.4, 3.6), sharey=True)
     styles, x = plotting.styles_of(data["curves"]), np.array(data["x"])
     for ax, (dim, text) in zip(panels, DIMENSIONS.items()):

@@ -8,12 +8,12 @@ from deep_contact.plot import plotting
 
 
 def compute(options, seed, jobs, progress):
-    """The value at the query by `sph.gather`, by two 1-D interpolations, by Eq 3.16 and by Algorithm 4."""
+    """Compute the value at a point by `sph.gather`, by two 1-D interpolations, by Eq 3.16 and by Algorithm 4."""
     (x_1, x_2), (y_1, y_2), (x, y) = options["x"], options["y"], options["query"]
-    image = np.array(options["values"]).reshape(2, 2)  # row: y, column: x
+    image = np.array(options["values"]).reshape(2, 2)  # rows along y, columns along x
     grid = sph.Grid(origin=(x_1, y_1), spacing=(x_2 - x_1, y_2 - y_1), shape=(2, 2))
     along_x = [float(np.interp(x, (x_1, x_2), row)) for row in image]  # Eq 3.14a, b
-    # Eq 3.16 has f(Q11), f(Q12) in its first row: x down, y across, the transpose of an image.
+    # Eq 3.16 has f(Q11) and f(Q12) in its first row. So its rows run along y, and it is the transpose of an image.
     left, right = np.array([x_2 - x, x - x_1]), np.array([y_2 - y, y - y_1])
     area = (x_2 - x_1) * (y_2 - y_1)
     shades = np.linspace(0.0, 1.0, options["points"])
@@ -30,17 +30,20 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """Eq 3.16 is right. Algorithm 4 should compute the same value, but its matrix is transposed."""
+    """Yield the claims that Eq 3.16 and Algorithm 4 compute the bilinear interpolation.
+
+    Eq 3.16 is right. Algorithm 4 should compute the same value, but its matrix is transposed.
+    """
     equal = "Eq 3.16's matrix form equals two 1-D interpolations, and so does our gather"
     same = "Algorithm 4's matrix gives the same as Eq 3.16"
     for text, thesis, *names in ((equal, "Eq 3.16", "Eq 3.16", "gather"), (same, "Algorithm 4", "Algorithm 4")):
         measured = {name: data["values"][name] for name in (*names, "two 1-D interpolations")}
-        # Rounding is a few times 1e-16 of the nodes' values.
+        # The limit 1e-12 is above the rounding errors, which are a few times 1e-16 of the nodes' values.
         yield Claim(text, thesis, np.ptp(list(measured.values())) < 1e-12 * np.abs(data["nodes"]).max(), measured)
 
 
 def draw(data, options):
-    """The cell coloured by its interpolated values, with the two steps of Eq 3.14 and 3.15."""
+    """Draw the cell, coloured by the interpolated values, with the two steps of Eq 3.14 and 3.15."""
     figure, ax = plotting.subplots(size=(5.6, 4.6))
     (x_1, x_2), (y_1, y_2), (x, y) = data["x"], data["y"], data["query"]
     ax.grid(False)
@@ -55,14 +58,17 @@ def draw(data, options):
     for b, name, value in zip((y_1, y_2), ("f(x, y$_1$)", "f(x, y$_2$)"), data["along x"]):
         mark(ax, x, b, plotting.BLUE, f"{name} = {value:.4g}", b == y_1, "center")
     mark(ax, x, y, plotting.GREEN, f"f(x, y) = {data['values']['gather']:.4g}", True, "left")
-    ax.use_sticky_edges = False  # of the mesh
+    ax.use_sticky_edges = False  # the edges of the mesh would suppress the margins
     ax.margins(0.14)
     ax.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
     return figure
 
 
 def mark(ax, x, y, colour, text, below, side):
-    """A dot with its value beside it."""
+    """Draw a dot at (x, y) with a text beside it.
+
+    below: whether the text is below the dot, or else above. side: horizontal alignment of the text.
+    """
     ax.plot(x, y, "o", markersize=9, color=colour, markeredgecolor="white", zorder=3, clip_on=False)
     offset = (9 if side == "left" else 0, -17 if below else 10)
     box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
@@ -70,7 +76,7 @@ def mark(ax, x, y, colour, text, below, side):
 
 
 VALUES = [2.0, 5.0, 3.5, 12.0]
-"""f of Q11, Q21, Q12, Q22: no symmetry that would hide a transposition."""
+"""Values f at Q11, Q21, Q12 and Q22. They have no symmetry that would hide a transposition."""
 
 OPTIONS = {"x": [1.0, 1.5], "y": [2.0, 2.5], "values": VALUES, "query": [1.2, 2.35], "points": 41}
 FIGURE = Figure("3.5", "Bilinear interpolation between four nodes", compute, None, draw, claims, options=OPTIONS)

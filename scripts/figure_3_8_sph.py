@@ -1,6 +1,8 @@
-"""python scripts/figure_3_8_sph.py: mean θ by sweep with the SPH start, read back as printed, as programmed and by us.
+"""python scripts/figure_3_8_sph.py: mean convergence rate θ after each sweep, from the SPH start.
 
-The thesis does not print d and h of this figure. Its authors' code had d = 0.75 m with h = 0.5 m and a spline.
+The SPH start is the solved impulses after a splat to an image. The image is read back as the thesis prints it, as its
+authors programmed it, and by our consistent transfer. The thesis does not print the spacing d and the support radius h
+of this figure. Its authors' code had d = 0.75 m, h = 0.5 m and a spline.
 """
 
 from deep_contact import figures

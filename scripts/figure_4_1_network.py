@@ -1,4 +1,4 @@
-"""python scripts/figure_4_1_network.py: a network of three layers, with the numbers that go through it."""
+"""python scripts/figure_4_1_network.py: a network of three layers, with the values of its neurons and weights."""
 
 from collections.abc import Sequence
 
@@ -11,9 +11,10 @@ from deep_contact.studies import chapter_4 as worked
 
 
 def forward(x: np.ndarray, layers: Sequence[tuple]) -> list[np.ndarray]:
-    """The values of every layer of a network, the input first; ReLU after all layers but the last (section 4.2.5).
+    """Return the values of the neurons in every layer of a network, the input first (section 4.2.5).
 
-    layers: (weights (inputs, outputs), bias (outputs,)) of each.
+    ReLU is applied after all layers but the last. x: input, (inputs,). layers: weights (inputs, outputs) and bias
+    (outputs,) of each layer.
     """
     values = [np.asarray(x, dtype=np.float64)]
     for number, (weights, bias) in enumerate(layers, start=1):
@@ -23,7 +24,7 @@ def forward(x: np.ndarray, layers: Sequence[tuple]) -> list[np.ndarray]:
 
 
 def compute(options, seed, jobs, progress):
-    """The values of all neurons for one input, and the same output by Keras's `Dense`."""
+    """Compute the values of all neurons for one input, and the output of the same network by Keras's `Dense` layers."""
     sizes = [len(options["input"]), options["hidden"], options["output"]]
     layers, by_keras = worked.random_layers(sizes, seed), np.array(options["input"])
     for (weights, bias), activation in zip(layers, ("relu", "linear")):
@@ -40,12 +41,12 @@ def claims(data):
     difference = float(np.abs(np.subtract(data["values"][-1], data["Keras"])).max())
     text = "matrix multiplications and biases, with ReLU between, complete a fully connected network: equal to Keras's"
     measured = {"largest difference": difference, "parameters": data["parameters"]}
-    holds = difference <= 1e-12 * np.abs(data["Keras"]).max()  # sums of a few products in float64
+    holds = difference <= 1e-12 * np.abs(data["Keras"]).max()  # allows for rounding errors in sums of a few products
     return [Claim(text, "section 4.2.5", bool(holds), measured)]
 
 
 def draw(data, options):
-    """The three columns of neurons; the lines are the weights."""
+    """Draw the neurons in three columns. The lines between them show the weights."""
     figure, ax = plotting.subplots(size=(6.4, 4.2))
     titles = ("input layer", "hidden layer (ReLU)", "output layer")
     plotting.draw_network(ax, data["values"], data["weights"], titles=titles)

@@ -1,4 +1,4 @@
-"""python scripts/figure_4_2_convolution.py: a convolution worked through, and equal to Keras's."""
+"""python scripts/figure_4_2_convolution.py: a convolution computed step by step, and compared with Keras's."""
 
 import numpy as np
 
@@ -9,10 +9,10 @@ from deep_contact.studies import chapter_4 as worked
 
 
 def window_products(image: np.ndarray, kernel: np.ndarray, row: int, column: int) -> np.ndarray:
-    """The products that Eq 4.1 sums at one place, K_ij · I_{x+i−1, y+j−1}: the shape of the kernel.
+    """Return the products K_ij · I_{x+i−1, y+j−1} that Eq 4.1 sums for one output, in the shape of the kernel.
 
-    image: (n_y, n_x, ...); kernel: (k_y, k_x, ...) with the same further axes (section 4.2.2). row, column: of the
-    image's node under the kernel's first node, from 0. Raises ValueError unless the kernel lies within the image.
+    image: (n_y, n_x, ...). kernel: (k_y, k_x, ...), with the same further axes (section 4.2.2). row, column: place of
+    the kernel's first element in the image, from 0. Raises ValueError unless the kernel lies within the image.
     """
     k_y, k_x = kernel.shape[:2]
     under = image[row : row + k_y, column : column + k_x]
@@ -23,22 +23,25 @@ def window_products(image: np.ndarray, kernel: np.ndarray, row: int, column: int
 
 
 def correlate(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
-    """Eq 4.1 at every place where the kernel is within the image: the thesis's "convolution" I * K.
+    """Return the thesis's "convolution" I * K (Eq 4.1) wherever the kernel lies within the image, (o_y, o_x).
 
-    image: (n_y, n_x) or (n_y, n_x, d); kernel: (k_y, k_x) or (k_y, k_x, d). Returns (o_y, o_x).
+    image: (n_y, n_x) or (n_y, n_x, d). kernel: (k_y, k_x) or (k_y, k_x, d).
     """
     rows, columns = (range(n - k + 1) for n, k in zip(image.shape, kernel.shape[:2]))
     return np.array([[window_products(image, kernel, i, j).sum() for j in columns] for i in rows])
 
 
 def keras_convolution(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1) -> np.ndarray:
-    """`correlate` by Keras's `Conv2D`: (o_y, o_x, f). image: (n_y, n_x, d); kernel: (k_y, k_x, d, f)."""
+    """Return what `correlate` computes, by Keras's `Conv2D` and for f kernels at once, (o_y, o_x, f).
+
+    image: (n_y, n_x, d). kernel: (k_y, k_x, d, f). stride: distance of neighbouring places of the kernel, in nodes.
+    """
     arguments = kernel.shape[3], kernel.shape[:2]
     return worked.by_keras("Conv2D", *arguments, x=image, weights=[kernel], strides=stride, use_bias=False)
 
 
 def compute(options, seed, jobs, progress):
-    """Eq 4.1 and 4.2 by hand, by SciPy and by Keras; the thesis's example of sizes; several strides."""
+    """Compute Eq 4.1 and 4.2 by our code, by SciPy and by Keras: for an image, the thesis's example, some strides."""
     from scipy import signal
 
     image, kernel = np.array(options["image"], dtype=float), np.array(options["kernel"], dtype=float)
@@ -63,7 +66,7 @@ def compute(options, seed, jobs, progress):
         "image": image,
         "kernel": kernel,
         "shown": [row, column],
-        "products": window_products(image, kernel, row, column) + 0.0,  # no −0
+        "products": window_products(image, kernel, row, column) + 0.0,  # the sum turns −0 into 0
         "results": results,
         "example of section 4.2.2": example | {"largest difference to Keras": float(np.abs(ours - theirs).max())},
         "sizes": sizes,
@@ -75,7 +78,7 @@ def claims(data):
         return float(np.abs(np.subtract(data["results"][a], data["results"][b])).max())
 
     same = {f"largest difference to {name}": apart("Eq 4.1", name) for name in ("Keras Conv2D", "SciPy correlate2d")}
-    # Sums of a few products of small whole numbers: exact, or nearly so.
+    # The results are sums of a few products of small integers, so they are exact, or nearly exact.
     yield Claim("Eq 4.1 is what a convolutional layer computes", "Eq 4.1", max(same.values()) < 1e-9, same)
     plain, flipped = apart("Eq 4.1", "SciPy convolve2d"), apart("Eq 4.1, flipped kernel", "SciPy convolve2d")
     text = "what the layer computes is a cross-correlation; a convolution in terms of mathematics flips the kernel"
@@ -96,7 +99,7 @@ def claims(data):
 
 
 def draw(data, options):
-    """Image and kernel, the products at one place, and the result."""
+    """Draw four panels: the image, the kernel, the products at one place of the kernel, and the result."""
     from matplotlib.patches import Rectangle
 
     row, column = data["shown"]
@@ -126,9 +129,9 @@ def draw(data, options):
 IMAGE = [[0, 0, 1, 2, 1, 0], [0, 1, 3, 4, 2, 0], [1, 2, 5, 3, 1, 1], [0, 3, 4, 2, 0, 2], [1, 1, 2, 0, 1, 3]]
 IMAGE += [[0, 0, 1, 1, 2, 4]]
 KERNEL = [[1, 0, -1], [2, 1, -2], [0, 1, -1]]
-"""A kernel without a symmetry that would hide a flip."""
+"""The kernel that is shown. It has no symmetry that would hide a flip."""
 SIZES = [[32, 3, 1], [61, 3, 2], [61, 2, 2], [31, 2, 1], [16, 3, 2]]
-"""Edge of the image, edge of the kernel, stride."""
+"""Cases for Eq 4.2: [edge of the image, edge of the kernel, stride], in nodes."""
 
 OPTIONS = {"image": IMAGE, "kernel": KERNEL, "shown": [1, 2], "sizes": SIZES}
 FIGURE = Figure("4.2", "A convolution worked through", compute, None, draw, claims, options=OPTIONS)

@@ -17,9 +17,10 @@ NETWORK = "network"
 
 
 def compute(options, seed, jobs, progress):
-    """The masses that enter, the strongest maps of some layers, the prediction, and the solution beside it.
+    """Compute feature maps of a network on a state, its prediction, and the errors of its prediction.
 
-    The maps are those of the first scene; the errors are those of all scenes.
+    The data have the input channel of the masses, the strongest map of some layers, and the predicted and the solved
+    impulses, all of the first scene. The errors are those of all scenes.
     """
     model = chapter_5.image_network(options["model"])
     states = [fallen(options, one) for one in progress(seeds(seed, options["scenes"]), text="scenes")]
@@ -46,7 +47,10 @@ def compute(options, seed, jobs, progress):
 
 
 def fallen(options, seed):
-    """The state of a falling pile after `steps`."""
+    """Return the solved state of a falling pile after options["steps"] time steps.
+
+    Raises ValueError if the state has no contacts.
+    """
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     state = starts.solved_states(scene, steps=options["steps"], contacts_only=False)[-1]
     if not state.contacts.count:
@@ -55,7 +59,11 @@ def fallen(options, seed):
 
 
 def errors_of_grid(model, state):
-    """Errors of images, N·s, at the nodes where the solution's image has a value, as in the loss of Appendix B."""
+    """Return the errors of images of impulses, N·s: name of the start -> error.
+
+    An error is the norm of the difference to the image of the solution. Only nodes count at which the solution's image
+    is not 0, as in the loss of Appendix B.
+    """
     contacts = state.contacts
     past = contacts._replace(normal_impulse=contacts.normal_start, tangent_impulse=contacts.tangent_start)
     true = label_image(state, model.spec)
@@ -65,7 +73,11 @@ def errors_of_grid(model, state):
 
 
 def errors_at_contacts(model, path, state):
-    """Errors of the impulses at the contacts, N·s, normal and tangent ones together."""
+    """Return the errors of the impulses at the contacts, N·s: name of the start -> error.
+
+    An error is the norm of the difference to the solution, over normal and tangent impulses together. path: path of the
+    model file.
+    """
     contacts = state.contacts
     solved = np.array([contacts.normal_impulse, contacts.tangent_impulse])
     image = {"spacing": model.spec.spacing, "support": model.spec.support}
@@ -81,7 +93,7 @@ def errors_at_contacts(model, path, state):
 
 
 def of_scenes(errors):
-    """Name -> its errors, one for each scene."""
+    """Collect the errors of all scenes. Returns name of the start -> list with an error for each scene."""
     errors = list(errors)
     return {name: [one[name] for one in errors] for name in errors[0]}
 
@@ -101,7 +113,10 @@ def claims(data):
 
 
 def relative(errors):
-    """Name -> its mean error, as a share of the error of zero, which is the mean size of the solution."""
+    """Return the mean error of each start over the mean error of the start None: name of the start -> ratio.
+
+    None is zero impulses, so its error is the norm of the solution. errors: name of the start -> error in each scene.
+    """
     return {name: float(np.mean(one) / np.mean(errors["None"])) for name, one in errors.items()}
 
 
@@ -111,14 +126,14 @@ def table(data):
 
 
 def draw(data, options):
-    """The masses, the strongest map of some layers, and the impulses predicted over those solved."""
+    """Draw the masses, the strongest map of some layers, and the predicted impulses against the solved ones."""
     figure, axes = plotting.subplots(2, 3, size=(9.0, 6.4))
     *panels, last = axes.flat
     x_min, y_min, x_max, y_max = data["box"]
     look = {"origin": "lower", "extent": (x_min, x_max, y_min, y_max), "interpolation": "nearest"}
     for ax, part in zip(panels, data["panels"]):
         values = np.array(part["values"])
-        # Impacts are much larger than all else: the colours end at the 95th percentile.
+        # Values at impacts are much larger than all others, so the scale of colours ends at the 95th percentile.
         size = np.percentile(np.abs(values)[np.nonzero(values)], 95) if np.any(values) else 1.0
         shown = ax.imshow(values, vmin=-size if values.min() < 0 else 0.0, vmax=size, **look)
         figure.colorbar(shown, ax=ax, shrink=0.8, label="mass (kg)" if part["layer"] == "input" else "activation")

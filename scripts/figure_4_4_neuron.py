@@ -1,4 +1,4 @@
-"""python scripts/figure_4_4_neuron.py: a neuron worked through, and ReLU beside other activation functions."""
+"""python scripts/figure_4_4_neuron.py: a neuron computed step by step, and ReLU beside other activation functions."""
 
 from collections.abc import Callable
 
@@ -14,14 +14,15 @@ ACTIVATIONS: dict[str, tuple[Callable, Callable]] = {
     "sigmoid": (lambda x: 1 / (1 + np.exp(-x)), lambda x: np.exp(-x) / (1 + np.exp(-x)) ** 2),
     "tanh": (np.tanh, lambda x: 1 - np.tanh(x) ** 2),
 }
-"""Name -> (function, derivative)."""
+"""Name of an activation function -> (the function, its derivative)."""
 
 
 def gradient_ratio(activation: str, *, depth: int, width: int, gain: float, seed: int) -> float:
-    """Size of a gradient at the input of a deep network over its size at the output.
+    """Return the norm of a gradient at the input of a deep network over its norm at the output.
 
-    The network has `depth` layers of `width` neurons with normal weights of standard deviation gain · √(2 / width): at
-    gain 1 He's. A random input goes forward, then a random gradient goes back from the last layer.
+    The network has `depth` layers of `width` neurons. Its weights are normal with the standard deviation
+    gain · √(2 / width), which for gain = 1 is He's initialisation. A random input is propagated forward, and then a
+    random gradient at the output is propagated back.
     """
     rng = np.random.default_rng(seed)
     function, derivative = ACTIVATIONS[activation]
@@ -37,7 +38,7 @@ def gradient_ratio(activation: str, *, depth: int, width: int, gain: float, seed
 
 
 def compute(options, seed, jobs, progress):
-    """Eq 4.3 with numbers; the functions and derivatives; the size of gradients after deep networks."""
+    """Compute a neuron by Eq 4.3, the activation functions and their derivatives, and ratios of `gradient_ratio`."""
     x, w, bias = options["x"], options["w"], options["bias"]
     total = float(np.dot(x, w) + bias)
     line = np.linspace(-4.0, 4.0, options["points"])
@@ -78,7 +79,7 @@ def claims(data):
 
 
 def draw(data, options):
-    """Left: the neuron with its numbers. Right: the functions and their derivatives."""
+    """Draw three panels. Left: the neuron with its numbers. Middle and right: the functions and their derivatives."""
     figure, (ax, functions, derivatives) = plotting.subplots(1, 3, size=(11.0, 3.6), width_ratios=[1.5, 1, 1])
     values, weights = [[*data["x"], 1.0], [data["sum"]], [data["output"]]], [*data["w"], data["bias"]]
     parts = [[[w] for w in weights], [[1.0]]]
@@ -98,7 +99,7 @@ def draw(data, options):
 
 
 GAINS = [0.5, 1.0, 2.0]
-"""Standard deviations of the weights, over He's."""
+"""Standard deviations of the weights over those of He's initialisation."""
 
 OPTIONS = {"x": [1.5, -2.0, 0.5], "w": [0.8, 0.3, -1.2], "bias": 0.4, "points": 401}
 OPTIONS |= {"depth": 20, "width": 100, "gains": GAINS, "networks": 20}

@@ -1,4 +1,4 @@
-"""python scripts/figure_4_5_max_pooling.py: 2 × 2 max pooling worked through, and equal to Keras's."""
+"""python scripts/figure_4_5_max_pooling.py: 2 × 2 max pooling of an image, compared with Keras's."""
 
 import numpy as np
 
@@ -9,16 +9,20 @@ from deep_contact.studies import chapter_4 as worked
 
 
 def max_pool(image: np.ndarray) -> np.ndarray:
-    """The largest value of each window of 2 × 2 adjacent nodes (section 4.2.4); (n_y, n_x, ...).
+    """Return the largest value in each window of 2 × 2 neighbouring nodes (section 4.2.4).
 
-    Incomplete windows at the far edges count, as with Keras's border mode "same" (Table 5.2): 61 nodes -> 31.
+    The last window along an edge may be incomplete, as with Keras's border mode "same" (Table 5.2). So 61 nodes become
+    31. image: (n_y, n_x, ...).
     """
     rows, columns = (range(0, n, 2) for n in image.shape[:2])
     return np.array([[image[i : i + 2, j : j + 2].max(axis=(0, 1)) for j in columns] for i in rows])
 
 
 def compute(options, seed, jobs, progress):
-    """The largest values by hand and by Keras; the sizes in the thesis's network; what pooling saves in weights."""
+    """Compute the pooling of an image by our code and by Keras, and its effect in the thesis's network.
+
+    The effect is the size of the images after each pooling, and the number of weights in the last layer.
+    """
     image = np.array(options["image"], dtype=float)
     rng = np.random.default_rng(seed)
     whole = rng.normal(size=(options["nodes"], options["nodes"], 3))
@@ -51,7 +55,7 @@ def claims(data):
 
 
 def draw(data, options):
-    """Each window and its largest value in one colour; incomplete windows at the edges count too."""
+    """Draw the image and the pooled image. A window and its largest value have the same colour."""
     from matplotlib.colors import ListedColormap
 
     image, pooled = np.array(data["image"]), np.array(data["pooled"])
@@ -76,7 +80,7 @@ def draw(data, options):
 
 
 IMAGE = [[1, 3, 2, 1, 0], [4, 6, 5, 7, 2], [8, 2, 1, 0, 3], [3, -1, 4, 9, -5]]
-"""An image with an odd number of columns, as the thesis's 61 nodes are odd."""
+"""The image that is shown. Its number of columns is odd, like the 61 nodes of the thesis's images."""
 
 OPTIONS = {"image": IMAGE, "nodes": 61, "poolings": 4, "channels": 512}
 FIGURE = Figure("4.5", "2 × 2 max pooling worked through", compute, None, draw, claims, options=OPTIONS)

@@ -11,13 +11,17 @@ from deep_contact.studies import chapter_5
 
 
 def compute(options, seed, jobs, progress):
-    """A small network with neurons left out; maps and prediction of the trained network, with dropout off and on."""
+    """Compute the effect of dropout, in a small random network and in the trained network of a model file.
+
+    For the trained network, the data have a feature map before and after dropout, and the changes of the prediction
+    from run to run with dropout off and on.
+    """
     from deep_contact.cnn.backend import keras
 
-    keras.utils.set_random_seed(seed)  # seed of the masks
+    keras.utils.set_random_seed(seed)  # seeds the random masks of dropout
     model = chapter_5.image_network(options["model"])
     network = model.network
-    network.trainable = False  # with dropout at work, batch normalisation stays in inference
+    network.trainable = False  # in training mode, only dropout is then active, and batch normalisation is not
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     state = dc.simulate(scene, steps=options["steps"], solver=dc.PGS()).state
     names = [layer.name for layer in network.layers]
@@ -60,7 +64,7 @@ def compute(options, seed, jobs, progress):
 
 def claims(data):
     rate = data["rate"]
-    # Three standard deviations of the share dropped, the values being independent.
+    # Three standard deviations of the share that is dropped, if each value is dropped independently.
     allowed = float(3 * np.sqrt(rate * (1 - rate) / data["values"]))
     repeats = {"largest change of λ_n from run to run, off (N·s)": data["change off"], "on": data["change on"]}
     share = {"share dropped": data["dropped"], "rate": rate, "values": data["values"], "allowed": allowed}
@@ -74,7 +78,7 @@ def claims(data):
 
 
 def draw(data, options):
-    """Above: a small network without and with dropout. Below: a map of the trained one, and what is dropped of it."""
+    """Draw four panels. Above: a small network without and with dropout. Below: a map of the trained one, likewise."""
     figure, (above, below) = plotting.subplots(2, 2, size=(9.0, 6.4), height_ratios=[1, 1.1])
     small = data["small network"]
     titles = ("a small network", f"the same with a dropout rate of {options['rate drawn']:g}")

@@ -1,4 +1,4 @@
-"""python scripts/figure_4_7_backpropagation.py: Eq 4.11-4.18 with numbers, held against automatic differentiation."""
+"""python scripts/figure_4_7_backpropagation.py: Eq 4.11-4.18 with numbers, compared with automatic differentiation."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from deep_contact.figures import Claim, Figure
 from deep_contact.plot import plotting
 
 ROUNDING = 1e-12
-"""Largest relative difference that counts as rounding, in sums of a few products in float64."""
+"""Largest relative difference that counts as a rounding error of sums of a few products in float64."""
 
 CLAIMS = {
     "Eq 4.12": ("Eq 4.11, Eq 4.12", "Eq 4.11 and 4.12: the chain rule for the output's weights"),
@@ -18,29 +18,35 @@ CLAIMS = {
     "Eq 4.18": ("Eq 4.18", "Eq 4.18: w_ij + 2 α e w_j x_i is the step of Eq 4.8"),
     "late": ("section 4.3.5", "the hidden weights can be updated by Eq 4.18 after the output's weights were"),
 }
-"""Name of a comparison -> its place in the thesis, and the statement there."""
+"""Name of a comparison -> (its place in the thesis, the statement there)."""
 
 
 def backpropagate(x: np.ndarray, w_hidden: np.ndarray, w_output: np.ndarray, target: float) -> dict:
-    """Eq 4.11-4.17 for inputs x (I,), weights w_hidden (I, J) and w_output (J,), and the true output `target`, d.
+    """Compute the forward and the backward pass of the thesis's example by Eq 4.11-4.17.
 
-    The thesis's example has one output, and all neurons are linear. Returns "v": hidden values (J,), Eq 4.16; "y":
-    output, "e": error d − y, "loss": e², all Eq 4.11; "chain": factors of Eq 4.12 and 4.15 by name; "output": ∂L/∂w_j
-    of the output's weights (J,), Eq 4.13; "hidden": ∂L/∂w_ij (I, J), Eq 4.17.
+    The network of the example has one output, and all its neurons are linear. x: inputs, (I,). w_hidden: weights of the
+    hidden neurons, (I, J). w_output: weights of the output, (J,). target: true output d. Returns a dict:
+
+    * "v": values of the hidden neurons, (J,), Eq 4.16;
+    * "y": output, "e": error d − y, "loss": L = e², Eq 4.11;
+    * "chain": factors in the chain rules of Eq 4.12 and 4.15, by name;
+    * "output": derivatives ∂L/∂w_j with respect to the output's weights, (J,), Eq 4.13;
+    * "hidden": derivatives ∂L/∂w_ij with respect to the hidden weights, (I, J), Eq 4.17.
     """
     v = x @ w_hidden
     y = float(w_output @ v)
     e = float(target - y)
-    of_hidden = np.repeat(x[:, None], w_output.size, axis=1)  # derivatives of v_j by w_ij; all others are zero
+    of_hidden = np.repeat(x[:, None], w_output.size, axis=1)  # ∂v_j/∂w_ij; v_j depends on no other hidden weights
     chain = {"∂L/∂e": np.array(2 * e), "∂e/∂y": np.array(-1.0), "∂y/∂v": w_output, "∂y/∂w": v, "∂v/∂w": of_hidden}
     values = {"v": v, "y": y, "e": e, "loss": e**2, "chain": chain}
     return values | {"output": -2 * v * e, "hidden": -2 * e * np.outer(x, w_output)}
 
 
 def automatic_gradients(x, w_hidden, w_output, target) -> dict[str, np.ndarray]:
-    """The gradients of the same network by automatic differentiation of L.
+    """Compute the gradients of the network of `backpropagate` by automatic differentiation of the loss.
 
-    Returns "output" (J,), "hidden" (I, J), and the factors of `backpropagate`'s chain by their names.
+    The arguments are those of `backpropagate`. Returns a dict with "output", (J,), "hidden", (I, J), and the factors of
+    the chain rules, by the names that they have in the result of `backpropagate`.
     """
     from deep_contact.cnn.backend import tensorflow as tf
 
@@ -53,15 +59,16 @@ def automatic_gradients(x, w_hidden, w_output, target) -> dict[str, np.ndarray]:
         loss = e**2
         total = tf.reduce_sum(v)
     pairs = {"output": (loss, w_o), "hidden": (loss, w_h), "∂L/∂e": (loss, e), "∂e/∂y": (e, y)}
-    # w_ij acts on v_j alone, so the derivative of the sum of v is that of v_j.
+    # w_ij affects v_j only, so the derivative of the sum of all v is that of v_j.
     pairs |= {"∂y/∂v": (y, v), "∂y/∂w": (y, w_o), "∂v/∂w": (total, w_h)}
     return {name: tape.gradient(*pair).numpy() for name, pair in pairs.items()}
 
 
 def compute(options, seed, jobs, progress):
-    """One forward and one backward pass by the thesis's equations and automatically, and one update of the weights.
+    """Compute one forward and one backward pass and one update of the weights, by Eq 4.11-4.18 and automatically.
 
-    "compared" has, for each of `CLAIMS`, the thesis's numbers and those by automatic differentiation.
+    For each name in `CLAIMS`, "compared" has the numbers by the thesis's equations, and those by automatic
+    differentiation.
     """
     x, w_h, w_o = (np.array(options[name]) for name in ("x", "hidden weights", "output weights"))
     target, rate = options["target"], options["rate"]
@@ -70,7 +77,7 @@ def compute(options, seed, jobs, progress):
     chain, e = values["chain"], values["e"]
     factors = [right[name] for name in chain]
     common = chain["∂L/∂e"] * chain["∂e/∂y"]
-    step_o, step_h = -rate * right["output"], -rate * right["hidden"]  # Eq 4.8, the first step
+    step_o, step_h = -rate * right["output"], -rate * right["hidden"]  # the first step of Eq 4.8
     compared = {
         "Eq 4.12": ([*chain.values(), common * chain["∂y/∂w"]], [*factors, right["output"]]),
         "Eq 4.13": ([values["output"]], [right["output"]]),
@@ -101,7 +108,7 @@ def claims(data):
 
 
 def draw(data, options):
-    """Left: the network with the numbers of the forward pass. Right: the gradients, by the equations and automatic."""
+    """Draw two panels. Left: the network with the numbers of the forward pass. Right: the gradients in both ways."""
     figure, (ax, bars) = plotting.subplots(1, 2, size=(10.0, 4.2), width_ratios=[1.1, 1])
     weights = [data["hidden weights"], [[w] for w in data["output weights"]]]
     titles = ("inputs x$_i$", "hidden v$_j$ (Eq 4.16)", "output y (Eq 4.11)")
@@ -121,7 +128,7 @@ def draw(data, options):
     return figure
 
 
-# Every number exact, so that rounding is the only difference there may be
+# `digits=None` stores all digits of the data. So the compared numbers can differ by rounding errors only.
 OPTIONS = {
     "x": [0.5, -1.0], "hidden weights": [[0.4, -0.6, 0.9], [-0.3, 0.8, 0.2]], "output weights": [0.7, -0.5, 0.3],
     "target": 2.0, "rate": 0.1,

@@ -1,6 +1,6 @@
 """python scripts/figure_5_10_time.py: time to θ < 6e-5 N·s from every start, by stage, in settling piles.
 
-The experiment that the thesis announces after Figure 5.9 (section 5.4) and does not print.
+The thesis announces this experiment after Figure 5.9 (section 5.4), and does not print it.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -28,17 +28,23 @@ from deep_contact.studies.starts import THRESHOLD, sweeps_to
 
 TITLE = "Does a network's start save time to θ < 6e-5 N·s?"
 COLOURS = {"splat": plotting.SKY, "network": plotting.PURPLE, "gather": plotting.ORANGE, "solve": plotting.GREY}
-"""Stage of a step's contact solution (particles to image, image to image, image to contacts, sweeps) -> its colour."""
+"""Stage of a step's contact solution -> its colour.
+
+The stages are: particles to input image, input image to output image, output image to contacts, and sweeps.
+"""
 
 CLOCK = {"reduce": np.median, "clock": process_time}
-"""Clock of processor time, so that other programs do not count. The networks run on one thread of this process."""
+"""Options of `timing.interleaved`: the median of processor times, which do not include the time of other programs.
+
+The networks run on one thread of this process.
+"""
 
 
 def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]:
-    """The stages of a start, as calls that can run alone: "splat", "network" and "gather", which returns the start.
+    """Return the stages of a start, "splat", "network" and "gather", as functions that can be timed one by one.
 
-    The solution that SPH transfers and the rows of the contact problem are not timed. A start without an image has no
-    stages.
+    "gather" returns the start's impulses. SPH has no stage "network", and a start without an image has no stages. No
+    stage includes the solution that SPH transfers, or the setup of the contact problem's rows.
     """
     if isinstance(start, Sph):
         impulses = np.column_stack(solved_impulses(state, PGS()))
@@ -56,11 +62,12 @@ def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]
 def time_to_threshold(
     states: Sequence[State], starts: Mapping[str, WarmStart], *, most: int, repeats: int, progress: Callable
 ) -> dict[str, dict]:
-    """Sweeps and seconds of the processor from each start to θ < `THRESHOLD`, on the same states.
+    """Measure the sweeps and the processor time from each start to θ < `THRESHOLD`, on the same states.
 
-    most: sweeps after which a start is given up. repeats: interleaved runs of every timing; their median counts.
-    Returns {name: {"sweeps": a number for each state, `most` where the start is given up, "missed": number of states
-    where it is given up, "seconds": {stage: a time for each state}}}; a start has the stages that it needs.
+    most: largest number of sweeps; a solve that does not reach the threshold by then counts as missed. repeats: number
+    of interleaved runs of every timing, of which the median is taken. Returns name of the start -> {"sweeps": number of
+    sweeps for each state, `most` if missed, "missed": number of states for which the solve is missed, "seconds":
+    {stage: time for each state, s}}. Each start has only the stages that it needs.
     """
     solver = PGS(sweeps=most, tolerance=THRESHOLD)
     times = {name: {"sweeps": [], "missed": 0, "seconds": {}} for name in starts}
@@ -79,7 +86,10 @@ def time_to_threshold(
 
 
 def time_by_tree(state: State, *, repeats: int) -> float:
-    """Median seconds of the splat of the bodies by k-d tree (the thesis's Algorithm 2, d = h = 0.5 m)."""
+    """Return the median processor time of a splat of the bodies by k-d tree, s.
+
+    This is the thesis's Algorithm 2, with d = h = 0.5 m.
+    """
     from deep_contact.sph.thesis import splat_by_tree
 
     spec, bodies = ImageSpec(), state.bodies
@@ -89,7 +99,10 @@ def time_by_tree(state: State, *, repeats: int) -> float:
 
 
 def compute(options, seed, jobs, progress):
-    """Settling piles of two sizes, the smaller in the thesis's box; one process, since its time counts."""
+    """Measure sweeps and times in settling piles of several sizes. Piles of up to 100 circles are in the thesis's box.
+
+    Everything runs in one process, because its processor time is measured.
+    """
     one_thread()
     networks, by_size = options["networks"], {}
     sph = {name: Sph(**of | {"spacing": options["spacing"]}) for name, of in starts.CHOSEN.items()}
@@ -122,27 +135,30 @@ def compute(options, seed, jobs, progress):
 
 
 def by_scene(pile, values):
-    """Means over the states of each scene. values: a number for each state."""
+    """Return the mean over the states of each scene, (scenes,). values: a number for each state, (states,)."""
     return np.bincount(pile["scene"], values) / np.bincount(pile["scene"])
 
 
 def missed(pile, name):
-    """Number of states that do not reach the threshold from a start; 0 for a name that is no start."""
+    """Return the number of states that do not reach the threshold from a start, or 0 if there is no start `name`."""
     return pile["starts"].get(name, {"missed": 0})["missed"]
 
 
 def is_given_up(pile, name):
-    """Whether a start never reached the threshold."""
+    """Return whether no state reached the threshold from a start."""
     return missed(pile, name) == len(pile["scene"])
 
 
 def reached(pile, name):
-    """The states that reach the threshold from a start, as a text: "38 of 40"."""
+    """Return the number of states that reach the threshold from a start, as a text: "38 of 40"."""
     return f"{len(pile['scene']) - missed(pile, name)} of {len(pile['scene'])}"
 
 
 def times(pile, name):
-    """Milliseconds of each stage of a start, one for each scene; 0 for a stage that the start does not need."""
+    """Return the mean time of each stage of a start: stage -> times, ms, (scenes,).
+
+    The time of a stage that the start does not need is 0.
+    """
     seconds = pile["starts"][name]["seconds"]
     none = np.zeros(len(pile["scene"]))
     return {stage: 1e3 * by_scene(pile, seconds.get(stage, none)) for stage in COLOURS}
@@ -155,7 +171,11 @@ def claims(data):
 
 
 def claims_of(pile, name, size, network):
-    """The thesis's claims on one network in one kind of pile; for the thesis's own network also on interpolation."""
+    """Yield the thesis's claims on one network in piles of one size. For the thesis's network, one is on interpolation.
+
+    pile: data of the piles of this size. name: start of the network. size: text for the claims. network: entry of
+    `chapter_5.networks_info`.
+    """
     where = f"{size}, {chapter_5.label_of(network)}"
     ours, builtin = times(pile, name), times(pile, "builtin")
     sweeps = [by_scene(pile, pile["starts"][start]["sweeps"]) for start in (name, "builtin")]
@@ -180,10 +200,11 @@ def claims_of(pile, name, size, network):
 
 
 def open_where_capped(claim, states):
-    """The claim; open where more sweeps of the solves that ended at the cap could change its verdict.
+    """Return the claim, left open if more sweeps of solves that ended at the largest number could change its verdict.
 
-    Such a solve counts with fewer sweeps and less time than it needs. So a ratio is above 1 for sure only if no solve
-    of the second start ended at the cap, and below 1 only if no solve of the first start did.
+    A solve that ended there counts with fewer sweeps and less time than it needs. So a ratio is certainly above 1 only
+    if no solve from the second start ended there, and certainly below 1 only if no solve from the first start did.
+    states: number of states.
     """
     first, second = (value for name, value in claim.measured.items() if name.startswith("solves at the cap"))
     _, low, high = claim.measured[verdicts.RATIO]
@@ -208,7 +229,10 @@ def table(data):
 
 
 def draw(data, options):
-    """A panel for each size at which Builtin reaches θ: bars of the stages' mean times, and the interval of the sum."""
+    """Draw bars of the stages' mean times, and the confidence interval of their sum.
+
+    There is a panel for each number of circles with which the threshold of θ is reached from Builtin.
+    """
     solved = {size: pile for size, pile in data["piles"].items() if not is_given_up(pile, "builtin")} or data["piles"]
     figure, panels = plotting.subplots(1, len(solved), size=(8.0 + 2 * len(solved), 3.8), squeeze=False)
     for ax, (size, pile) in zip(panels[0], solved.items()):

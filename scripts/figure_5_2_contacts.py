@@ -1,4 +1,4 @@
-"""python scripts/figure_5_2_contacts.py: contacts by step, and the time of the contact solution by contacts."""
+"""python scripts/figure_5_2_contacts.py: number of contacts in each step, and time of a solve against it."""
 
 from functools import partial
 from time import thread_time
@@ -15,9 +15,9 @@ from deep_contact.studies import starts, verdicts
 
 
 def compute(options, seed, jobs, progress):
-    """The contacts of every step of each scene, and the times of some solutions with a fixed number of sweeps.
+    """Count the contacts in every step of each scene, and time some solves with a fixed number of sweeps.
 
-    The time is that of one thread of the processor, so that other programs do not count.
+    The times are those of one thread, so that they do not include the time of other programs.
     """
     scenes = []
     solve = partial(dc.solve_contacts, solver=dc.PGS(sweeps=options["sweeps"], tolerance=None))
@@ -35,9 +35,10 @@ def compute(options, seed, jobs, progress):
 
 
 def fit(scene):
-    """Straight line through the median time of each number of contacts: `linregress` in ms and contacts.
+    """Fit a straight line to the time of a solve, ms, against the number of contacts.
 
-    Medians, because disturbances of the clock do not move them.
+    Returns the result of `linregress`. The fit takes the median time for each number of contacts, because single
+    disturbed times do not change a median.
     """
     contacts, time = np.array(scene["timed contacts"]), np.array(scene["time (ms)"])
     counts = np.unique(contacts)
@@ -45,10 +46,10 @@ def fit(scene):
 
 
 def cost(scene, end):
-    """Median time of a contact, ms, in states with few contacts (`end` is `min`) or many (`max`).
+    """Return the median time of a solve per contact, ms, in states with few or with many contacts.
 
-    "Few" is the second quarter of the largest number of contacts, in which the overhead of a call no longer counts;
-    "many" is the last quarter.
+    end: `min` for few contacts, `max` for many. Few contacts are those between a quarter and a half of the scene's
+    largest number. With these the overhead of a call is already negligible. Many are those above three quarters.
     """
     contacts, time = np.array(scene["timed contacts"]), np.array(scene["time (ms)"])
     quarter = np.ceil(4 * contacts / contacts.max())
@@ -74,7 +75,7 @@ def claims(data):
 
 
 def draw(data, options):
-    """The first scene: a) contacts in each step; b) time of the contact solution by contacts."""
+    """Draw two panels for the first scene: a) contacts in each step; b) time of a solve against its contacts."""
     figure, (left, right) = plotting.subplots(1, 2, size=(9.0, 3.6))
     scene, line = data["scenes"][0], fit(data["scenes"][0])
     left.plot(scene["contacts"], color=plotting.BLUE)

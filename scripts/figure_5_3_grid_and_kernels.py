@@ -1,4 +1,4 @@
-"""python scripts/figure_5_3_grid_and_kernels.py: grid nodes and the kernels' circles over a scene."""
+"""python scripts/figure_5_3_grid_and_kernels.py: the grid's nodes and the supports of the contacts' kernels."""
 
 import numpy as np
 
@@ -9,11 +9,14 @@ from deep_contact.plot import plotting
 from deep_contact.studies import starts
 
 SMALLEST = 0.5**0.5
-"""The thesis's lower bound for h / d, section 5.1.3."""
+"""Lower bound of h / d that the thesis names in section 5.1.3."""
 
 
 def compute(options, seed, jobs, progress):
-    """The pile after some steps, and how many nodes each contact reaches for several h / d and several d."""
+    """Simulate a pile, and count nodes and contacts in its last state.
+
+    The counts are the nodes within h of each contact, for several h / d, and the contacts in each cell, for several d.
+    """
     state = dc.simulate(starts.scene_of(options, seed), steps=options["steps"], solver=dc.PGS()).state
     if not state.contacts.count:
         raise ValueError(f"steps: expected enough of them for contacts, got none after {options['steps']}")
@@ -50,7 +53,7 @@ def claims(data):
 
 
 def draw(data, options):
-    """Left: the pile with its contacts' kernels. Right: a part of it with the nodes."""
+    """Draw two panels. Left: the pile with the support of its contacts' kernels. Right: a part of it with the nodes."""
     from matplotlib.collections import EllipseCollection
 
     state, h = plotting.state_of(data["scene"]), data["h"]

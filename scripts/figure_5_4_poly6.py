@@ -1,4 +1,7 @@
-"""python scripts/figure_5_4_poly6.py: poly6, support h at d = 0.25 and spacing d at h = d."""
+"""python scripts/figure_5_4_poly6.py: convergence from SPH starts with poly6, for several h and d.
+
+The first part varies the support radius h at the grid spacing d = 0.25 m. The second part varies d at h = d.
+"""
 
 from deep_contact import figures
 from deep_contact.figures import Claim
@@ -6,10 +9,10 @@ from deep_contact.studies import starts, verdicts
 from deep_contact.studies.starts import grid_of
 
 D = 0.25
-"""Spacing of the first part, m."""
+"""Spacing d of the grid in the first part of the figure, in which h varies, m."""
 
 SUPPORTS = (0.1, 0.2, 0.25, 0.5)
-"""h of the first part, m."""
+"""Support radii h in the first part of the figure, m."""
 
 PLACE = "section 5.1.3, Figure 5.4"
 
@@ -34,7 +37,12 @@ def claims(data):
 
 
 def best_by_number(numbers, best, others, way):
-    """Whether d = 0.5 m is beaten for some number of circles, by the level of θ over the sweeps (`verdicts.level`)."""
+    """Return the claim that for some number of circles another d converges faster than d = h = 0.5 m.
+
+    The starts are compared by the mean level of θ over the sweeps (`verdicts.level`). numbers: number of circles ->
+    data of `compare_starts`. best: name of the start with d = 0.5 m. others: names of the others. way: words for the
+    way in which the image is read back.
+    """
     text = f"d = h = 0.5 m, {way}, is not always the best: for another number of circles another d converges faster"
     parts = {n: runs["independent"] for n, runs in numbers.items()}
     fewest = min(map(verdicts.scenes_of, parts.values()))

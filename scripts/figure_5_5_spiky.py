@@ -1,4 +1,7 @@
-"""python scripts/figure_5_5_spiky.py: spiky, support h at d = 0.25 and spacing d at h = d."""
+"""python scripts/figure_5_5_spiky.py: convergence from SPH starts with spiky, for several h and d.
+
+The first part varies the support radius h at the grid spacing d = 0.25 m. The second part varies d at h = d.
+"""
 
 from deep_contact import figures
 from deep_contact.studies import starts, verdicts

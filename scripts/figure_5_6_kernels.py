@@ -1,10 +1,14 @@
-"""python scripts/figure_5_6_kernels.py: poly6 at d = h = 0.5 against spiky at d = h = 0.25, both read both ways."""
+"""python scripts/figure_5_6_kernels.py: convergence from SPH starts with the kernels poly6 and spiky.
+
+The grid spacing d and the support radius h are 0.5 m for poly6 and 0.25 m for spiky. Each image is read back in two
+ways, as the thesis prints it and as its authors programmed it.
+"""
 
 from deep_contact import figures
 from deep_contact.studies import starts, verdicts
 
 BEST = {"poly6": 0.5, "spiky": 0.25}
-"""Kernel -> the best d = h of Figures 5.4 and 5.5 by the thesis."""
+"""Kernel -> the best d = h in Figures 5.4 and 5.5 according to the thesis, m."""
 
 
 def named(kernel, start):

@@ -22,7 +22,7 @@ TITLES = {"MaxPooling": "max pooling", "BatchNormalization": "batch normalisatio
 
 
 def compute(options, seed, jobs, progress):
-    """The layers, and the number of weights with the four channels that section 5.3.1 names."""
+    """Collect the network's layers, and the number of weights with an input of four channels, as in section 5.3.1."""
     four = sum(layer["trainable"] for layer in chapter_5.thesis_layers(channels=4))
     return {"layers": chapter_5.thesis_layers(), "trainable with 4 channels": four}
 
@@ -38,7 +38,11 @@ def claims(data):
 
 
 def draw(data, options):
-    """Above: each layer as high as its image is and as wide as its channels are many. Below: its parameters."""
+    """Draw two panels.
+
+    Above, each layer is a bar, whose height shows the height of its image, and whose width shows the number of its
+    channels. Below are the numbers of the layers' parameters.
+    """
     from matplotlib.patches import Patch
 
     layers = data["layers"]

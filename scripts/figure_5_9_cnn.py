@@ -1,4 +1,4 @@
-"""python scripts/figure_5_9_cnn.py: the CNN start beside all others, on scenes that no network was trained on."""
+"""python scripts/figure_5_9_cnn.py: convergence from the CNN start and from others, on scenes outside the training."""
 
 from collections.abc import Iterator, Mapping
 
@@ -13,17 +13,17 @@ TITLE = "Does a network's start converge like SPH's?"
 
 
 CLOSE = (0.5, 2.0)
-"""Range of the ratio of θ for two starts that count as similar."""
+"""Range of the ratio of two starts' θ in which the starts count as similar."""
 
 
 PLACE = "section 5.4, Figure 5.9"
 
 
 def claims_of_network(data: Mapping, name: str) -> Iterator[Claim]:
-    """The thesis's claims on Figure 5.9 for one network.
+    """Yield the thesis's claims on Figure 5.9 for one network.
 
-    data: result of `starts.compare_starts` for the starts "none", "builtin", those of `READ`, "copy" and this network,
-    with the cards of the networks (`chapter_5.networks_info`) under "networks".
+    data: result of `starts.compare_starts` for the starts "none", "builtin", those of `READ`, "copy" and this network.
+    Its entry "networks" is the result of `chapter_5.networks_info`. name: name of the network's start.
     """
     network = data["networks"][name]
 
@@ -46,7 +46,7 @@ def claims_of_network(data: Mapping, name: str) -> Iterator[Claim]:
 
 
 def compute(options, seed, jobs, progress):
-    """The starts on scenes of a random number of circles each, and what the model files say about themselves."""
+    """Compare the starts on scenes with random numbers of circles, and collect the facts in the model files."""
     networks, size = options.pop("networks"), {"spacing": options.pop("spacing")}
     about = chapter_5.networks_info(networks)
     shared = [name for name, card in about.items() if card["architecture"] == "thesis"]
@@ -67,7 +67,7 @@ def draw(data, options):
     return starts.draw_comparison(data | {"independent": shown}, TITLE, hidden=["sph spline"])
 
 
-# The data set's seeds are SeedSequence(0, spawn_key=(i,)); these scenes come from other random numbers.
+# The training data have the seeds SeedSequence(0, spawn_key=(i,)). The scenes of this figure have other seeds.
 OPTIONS = starts.THESIS_SETTINGS | {"n_bodies": [51, 99], "spacing": starts.SPACING, "networks": chapter_5.NETWORKS}
 QUICK = {"steps": 250, "sweeps": 1000, "scenes": 1}
 FIGURE = Figure("5.9", TITLE, compute, starts.table_of_starts, draw, claims, options=OPTIONS, quick=QUICK, seed=59)

@@ -1,4 +1,8 @@
-"""python scripts/figure_6_15_determinacy.py: the interval of λ_n that a motion leaves, and what labels make of it."""
+"""python scripts/figure_6_15_determinacy.py: intervals of λ_n that give the same motion, and the labels' place in them.
+
+The contact impulses of a pile are not unique. So the normal impulse λ_n of a contact may lie in an interval without any
+change of the velocities. A label is the solution on which a network is trained.
+"""
 
 from itertools import chain
 
@@ -19,20 +23,22 @@ from deep_contact.stepping import metrics, problem
 from deep_contact.studies import piles
 
 SHARES = {"median contact": 50, "90th percentile": 90}
-"""Name -> percentile of the contacts of a pile."""
+"""Name of a curve -> percentile over the contacts of a pile."""
 
 PILE = "kind", "n_bodies", "friction", "smallest"
-
+"""Names of the properties of a pile, the arguments of `packed`."""
 
 SWEEPS = 20_000
-"""Number of sweeps of a solver that makes a label."""
+"""Number of sweeps with which solvers compute answers."""
 
 
 def packed(kind: str, n_bodies: int, friction: float, smallest: float, seed: int) -> StateWithContacts:
-    """A pile. kind: "settling", a packing after 51 steps; "resting", a packing at rest; "thesis", its scene at rest.
+    """Return a state of a pile.
 
-    A pile counts as at rest below a root mean square speed of 1e-3 m/s, else after 1,050 steps ("thesis": 1,600).
-    smallest: least radius of a packing, m; the largest is 1 m. The thesis's scene has one radius.
+    kind: "settling" is a packing after 51 steps, "resting" a packing at rest, and "thesis" the thesis's scene at rest.
+    A pile counts as at rest if its root mean square speed is below 1e-3 m/s, or at the latest after 1,050 steps (1,600
+    for "thesis"). friction: Coulomb's μ. smallest: smallest radius of a packing, m; the largest is 1 m. All circles of
+    the thesis's scene have the same radius.
     """
     if kind == "thesis":
         scene, first = circles_in_box(n_bodies=n_bodies, friction=friction, seed=seed), 600
@@ -49,13 +55,17 @@ def packed(kind: str, n_bodies: int, friction: float, smallest: float, seed: int
 
 
 def measure(past: StateWithContacts, contacts: int, seed: int, models: list[str]) -> dict:
-    """Intervals of λ_n of a pile's next step, over the mean λ_n, and the errors of other answers.
+    """Measure the intervals of λ_n in a state of a pile, and the errors of other solutions, the answers.
 
-    contacts: number of contacts, drawn at random, whose intervals are computed. models: names of networks; all correct
-    the impulses of a step before, but the last, which corrects a support. Returns "exact": whether an exact solution
-    was found, "fastest": largest speed of its circles, m/s, "widths" of the intervals over the mean λ_n, and with
-    models "errors": answer → median distance of λ_n from the exact solution to which the pile's past leads, over the
-    mean λ_n, and the velocity error, which is 0 for any impulses with the motion of that solution.
+    past: the state, whose contacts carry the impulses of the step before. contacts: number of contacts, drawn at
+    random, whose intervals are computed. models: names of networks. The last of them corrects the start `Support`, and
+    the others correct the impulses of the step before. Returns a dict:
+
+    * "exact": whether an exact solution was found; if not, there are no other entries;
+    * "fastest": largest velocity component in the exact solution;
+    * "widths": widths of the intervals over the mean λ_n of the exact solution;
+    * "errors", if there are models: name of the answer → [median over the contacts of the distance of λ_n from the
+      exact solution, over the mean λ_n; velocity error, which is 0 for any impulses that give the exact velocities].
     """
     exact = solve_exactly(past)
     if not exact.converged:
@@ -89,7 +99,10 @@ def measure(past: StateWithContacts, contacts: int, seed: int, models: list[str]
 
 
 def cells(options):
-    """Panel → its piles (kind, circles, μ, smallest radius), which differ in one property."""
+    """Return the piles of each panel of the figure: name of the panel → piles (kind, circles, μ, smallest radius, m).
+
+    The piles of a panel differ in one property.
+    """
     n, mu, radius = options["sizes"][0], options["friction"], options["smallest"][0]
     return {
         "friction μ": [("resting", n, other, radius) for other in sorted(options["frictions"])],
@@ -101,7 +114,7 @@ def cells(options):
 
 
 def compute(options, seed, jobs, progress):
-    """The intervals of all piles, and the errors of answers for the piles of the thesis's scene."""
+    """Measure the intervals of all piles, and the errors of answers for piles of the thesis's scene."""
     tasks = [
         (pile, options["contacts"], s, options["models"] if pile[0] == "thesis" else [])
         for pile in dict.fromkeys(chain(*cells(options).values()))
@@ -116,14 +129,17 @@ def _measured(task):
 
 
 def widths(data, pile):
-    """Percentiles of the widths in each pile, (piles, shares)."""
+    """Return the percentiles `SHARES` of the intervals' widths over the mean λ_n, (piles, shares).
+
+    pile: properties (kind, circles, μ, smallest radius) of the piles that are selected.
+    """
     exact = (one["widths"] for one in data["piles"] if one["exact"] and one | dict(zip(PILE, pile)) == one)
     open_ended = ([np.inf if width is None else width for width in one] for one in exact)
     return np.array([np.percentile(one, [*SHARES.values()], method="nearest") for one in open_ended])
 
 
 def errors(data):
-    """Answer → error of λ_n and of the velocities in each pile, (piles, 2)."""
+    """Return the errors of each answer: name of the answer → errors of λ_n and of the velocities, (piles, 2)."""
     by_pile = [pile["errors"] for pile in data["piles"] if pile.get("errors")]
     return {name: np.array([one[name] for one in by_pile]) for name in by_pile[0]} if by_pile else {}
 
@@ -133,9 +149,10 @@ def name_of(pile):
 
 
 def claims(data):
-    """With friction the motion leaves much of λ open.
+    """Yield claims: with friction many impulses λ give the same motion.
 
-    Without friction it leaves open what contacts within the slop carry, where there are over two for each circle.
+    Without friction, this is so only in piles with more than two contacts per circle, where some contacts are within
+    the slop.
     """
     piles = dict.fromkeys(tuple(pile[key] for key in PILE) for pile in data["piles"] if pile["exact"])
     medians = {pile: np.median(widths(data, pile), axis=0) for pile in piles}
@@ -151,7 +168,11 @@ def claims(data):
 
 
 def draw(data, options):
-    """Widths over friction, circles and radii, median and range of the piles; errors of answers beside them."""
+    """Draw four panels.
+
+    Three have the widths of the intervals against friction, number of circles and radii, with the median and range of
+    the piles. The fourth has the errors of the answers.
+    """
     figure, panels = plotting.subplots(2, 2, size=(plotting.PAGE, 6.0))
     axes = [panels[0, 0], panels[0, 0], panels[0, 1], panels[1, 0]]
     for ax, (name, chosen), column in zip(axes, cells(options).items(), (2, 2, 1, 3)):

@@ -1,4 +1,4 @@
-"""python scripts/figure_6_16_walls.py: what a preset costs where walls have shapes, ours and other engines."""
+"""python scripts/figure_6_16_walls.py: computing times of presets in scenes with shaped walls, here and elsewhere."""
 
 from pathlib import Path
 
@@ -22,17 +22,21 @@ SCENES = {
     "hopper": (hopper, {}),
 }
 KNOBS = {"pymunk": {"slop": 0.25}, "Box2D 2.3": {"position_sweeps": 3}, "Box2D v3": {"hertz": 120.0}}
-"""Engine -> option that made it cheaper on plain piles; every budget is run with this option and without."""
+"""Engine -> option with which it took less time on plain piles. Each setting runs with this option and without it."""
 
 
 def scene(name, n_bodies, seed):
-    """The scene of a name and a seed."""
+    """Return a scene. name: one of `SCENES`."""
     make, options = SCENES[name]
     return make(n_bodies, seed=seed, **options)
 
 
 def settings_of(start):
-    """The reference's setting of a scene, then ours, the presets' among them, then other engines'."""
+    """Return the settings with which a scene is run.
+
+    The first is that of the reference. Then come those of this package, which include those of the presets. The last
+    are those of other engines. start: the scene.
+    """
     numbers, stiff, (others, _) = scene_numbers(start), stiffness(start), setting_runs.rivals(start)
     tuned = [setting | KNOBS[setting["engine"]] for setting in others]
     ours = *settings.settings_of_presets(numbers, stiff).values(), *settings.ladder(numbers)
@@ -40,13 +44,19 @@ def settings_of(start):
 
 
 def compute(options, seed, jobs, progress):
-    """Rows and presets of every scene. Finished parts stay in the folder `work`: a run of the same commit goes on."""
+    """Measure all settings on every scene, and choose the settings of the presets.
+
+    The results of finished runs are in the folder `work`, so that a run of the same commit can be resumed.
+    """
     cases = [(name, int(n)) for n, names in options["scenes"].items() for name in names]
     return {"scenes": [measure(*case, options, seed, jobs) for case in progress(cases, text="scenes")]}
 
 
 def measure(name, n, options, seed, jobs):
-    """Rows and presets of a scene of n circles, as in the study of runs, and the settings that `accuracy=` takes."""
+    """Measure a scene of n circles. Returns its rows and presets, as in the study of runs, and the presets' settings.
+
+    The result's entry "chosen" is preset -> name of the setting that `simulate(accuracy=…)` takes for the scene.
+    """
     start, common = scene(name, n, seed), {"work": Path(options["work"]), "seconds": options["seconds"], "seed": seed}
     cases = {(name, n, settings.name_of(one, start.dt)): (one, options["seeds"][str(n)]) for one in settings_of(start)}
     _, *others = runs.observed_rows(scene, cases, **common, jobs=jobs).items()
@@ -58,14 +68,19 @@ def measure(name, n, options, seed, jobs):
 
 
 def worst(row, preset, at=0):
-    """The largest error of a row over its tolerance. at: 0 for the error, 1 for the lower end of its interval."""
+    """Return the largest ratio of a row's errors to the preset's tolerances.
+
+    at: 0 for the errors, 1 for the lower bounds of their confidence intervals.
+    """
     return excess({name: error and error[at] for name, error in row["errors"].items()}, PRESETS[preset])
 
 
 def verdict(one, preset):
-    """[ratio, low, high] where ours and a rival keep a preset; else "ours", "undecided", "a rival" or "none" keeps it.
+    """Return which engines keep the tolerances of a preset in a scene. one: result of `measure`.
 
-    "undecided": ours keeps the preset, and a rival keeps it at the lower ends of its errors.
+    If this package and another engine, a rival, keep them, the result is the ratio of their times, [ratio, low, high].
+    Otherwise it is "ours", "a rival" or "none". It is "undecided" if this package keeps them, and a rival keeps them
+    only with its errors at the lower bounds of their confidence intervals.
     """
     row = one["presets"][list(PRESETS).index(preset)]
     mine, theirs = row["kinds"]["plain"], [other for other in one["rows"] if "engine" in other["setting"]]
@@ -77,7 +92,11 @@ def verdict(one, preset):
 
 
 def claims(data):
-    """For each size: the ratios, who alone keeps a preset, and whether the setting of `accuracy=` keeps its preset."""
+    """Yield claims for each number of circles.
+
+    They are on the ratios of times, on presets that only one engine keeps, and on whether the setting that `accuracy=`
+    takes keeps the tolerances of its preset.
+    """
     for n in runs.sizes_of(data["scenes"]):
         cells = {f"{one['scene']}, {preset}": (one, preset) for one in data["scenes"] if one["n_bodies"] == n
                  for preset in PRESETS}  # fmt: skip
@@ -103,7 +122,7 @@ def claims(data):
 
 
 def table(data):
-    """For each scene and size: the ratio at each preset, or who keeps the preset (`verdict`)."""
+    """Return the rows of the table: for each scene and size the `verdict` for each preset."""
     rows = [["circles", "scene", *PRESETS]]
     for one in data["scenes"]:
         rows.append([one["n_bodies"], one["scene"], *(cell(verdict(one, preset)) for preset in PRESETS)])
@@ -111,7 +130,7 @@ def table(data):
 
 
 def cell(one):
-    """A verdict as a table shows it."""
+    """Return the text of a result of `verdict` for the table."""
     if isinstance(one, str):
         return f"{one} alone" if one in ("ours", "a rival") else one
     value, *ends = one
@@ -119,7 +138,11 @@ def cell(one):
 
 
 def draw(data, options):
-    """Ratios of times with their intervals: panels are sizes, lines scenes, colours presets. An arrow: ours alone."""
+    """Draw the ratios of times with their intervals.
+
+    There is a panel for each size, a line for each scene and a colour for each preset. An arrow means that only this
+    package keeps the preset.
+    """
     sizes, names = runs.sizes_of(data["scenes"]), list(dict.fromkeys(one["scene"] for one in data["scenes"]))
     size = (plotting.PAGE, 0.7 * len(names) + 1.3)
     figure, panels = plotting.subplots(1, len(sizes), size=size, squeeze=False, sharey=True)

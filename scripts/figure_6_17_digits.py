@@ -1,4 +1,7 @@
-"""python scripts/figure_6_17_digits.py: how exact a start has to be: Copy rounded to some digits, beside Builtin."""
+"""python scripts/figure_6_17_digits.py: convergence from solutions rounded to some significant digits.
+
+The other starts are Builtin, the impulses of the step before, and Copy, the solution itself.
+"""
 
 from deep_contact import figures
 from deep_contact.studies import starts, verdicts

@@ -1,4 +1,4 @@
-"""python scripts/figure_6_1_trade.py: errors of a run against its wall time, ours and other engines'."""
+"""python scripts/figure_6_1_trade.py: errors of a run against its computing time, here and in other engines."""
 
 from itertools import product
 
@@ -15,7 +15,7 @@ SHOWN = {"energy": "kinetic energy", "penetration_max": "deepest penetration"}
 
 
 def compute(options, seed, jobs, progress):
-    """The study's rows on plain piles, and its presets."""
+    """Read the study's rows for plain piles, and its settings of the presets."""
     study = runs.read_study(options["results"])
     rows = [
         {key: row[key] for key in ("n_bodies", "name", "us", "errors")} | {"group": settings.group_of(row["setting"])}
@@ -52,7 +52,10 @@ def table(data):
 
 
 def draw(data, options):
-    """A column for each size, a row for each error: every setting, the best of ours, and what the presets tolerate."""
+    """Draw errors against times, with a column of panels for each size and a row for each error.
+
+    The panels have every setting, the best settings of this package, and the tolerances of the presets.
+    """
     from matplotlib.ticker import LogLocator
 
     sizes = runs.sizes_of(data["rows"])

@@ -1,4 +1,4 @@
-"""python scripts/figure_6_2_time_step.py: errors of a run as the time step goes to that of the reference."""
+"""python scripts/figure_6_2_time_step.py: errors of a run against its time step, down to that of the reference."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ SHOWN = {
 
 
 def compute(options, seed, jobs, progress):
-    """The study's rows on plain piles of settings that differ from the reference by their time step alone."""
+    """Read the study's rows for plain piles whose setting differs from the reference in the time step only."""
     rows = [
         {"n_bodies": row["n_bodies"], "dt": row["setting"]["dt"], "errors": row["errors"]}
         for row in runs.read_study(options["results"])["plain"]
@@ -28,13 +28,13 @@ def compute(options, seed, jobs, progress):
 
 
 def by_size(data):
-    """Number of circles -> its rows with steps that are no shorter than the reference's, the shortest step first."""
+    """Return the rows whose time step is not below the reference's: number of circles -> rows, by ascending step."""
     rows = sorted((row for row in data["rows"] if not is_below(row)), key=lambda row: row["dt"])
     return {n: [row for row in rows if row["n_bodies"] == n] for n in runs.sizes_of(rows)}
 
 
 def is_below(row):
-    """Whether a row has a shorter step than the reference, so that its error is mainly the reference's."""
+    """Return whether a row's time step is shorter than the reference's. Its error is then mainly the reference's."""
     return row["dt"] < runs.REFERENCE["dt"]
 
 
@@ -47,7 +47,7 @@ def claims(data):
         yield Claim(f"penetration falls with the time step, {n} circles", None, min(powers.values()) > 0.5, powers)
         if rows[1]["dt"] > 2 * rows[0]["dt"]:
             continue
-        # The last two steps differ from the limit by chance alone if their intervals meet.
+        # If the intervals of the two shortest steps overlap, their errors differ by chance only.
         last, before = (row["errors"]["energy"] for row in rows[:2])
         text = f"the energy curve stops changing within its intervals, {n} circles"
         names = (f"Δt / {TIME_STEP / row['dt']:g}".removesuffix(" / 1") for row in rows)
@@ -68,7 +68,7 @@ def table(data):
 
 
 def draw(data, options):
-    """An error in each panel against Δt, a line for each size, with its interval, down to the reference's Δt."""
+    """Draw an error in each panel against Δt down to the reference's Δt, with its interval and a line for each size."""
     figure, panels = plotting.subplots(2, 2, size=(plotting.PAGE, 5.6), sharex=True)
     sizes = by_size(data)
     for ax, (name, text) in zip(panels.flat, SHOWN.items()):

@@ -1,4 +1,7 @@
-"""python scripts/figure_6_3_transfer.py: loss of the transfer to the grid and back, by kernel, d, h and radii."""
+"""python scripts/figure_6_3_transfer.py: loss of impulses in the transfer to a grid image and back.
+
+The loss depends on the kernel, the grid spacing d, the support radius h and the radii of the circles.
+"""
 
 from collections.abc import Sequence
 from itertools import product
@@ -21,7 +24,10 @@ SIBLING = {
     for d, losses in {0.125: (0.0, 0.0, 0.0191), 0.25: (0.0480, 0.0, 0.0195), 0.5: (0.2349, 0.0589, 0.0237)}.items()
     for h, loss in zip((0.125, 0.25, 0.5), losses)
 }
-"""Mean loss of a contact impulse, N·s, in L. Engedal's thesis of 2018 (p. 39), for his own method and piles."""
+"""Mean loss of a contact impulse, N·s, in L. Engedal's thesis of 2018 (p. 39), by d and h, m.
+
+The thesis has another method of transfer and other piles.
+"""
 
 WAYS = {
     "thesis": ("thesis", "bilinear", plotting.SKY, "^", "--"),
@@ -30,13 +36,13 @@ WAYS = {
     "authors' spline": ("spline", "bilinear", plotting.SKY, "s", "-"),
     "authors' sharing": ("shared", "bilinear", plotting.SHARING, "D", "-."),
 }
-"""Name -> transfer, method of the thesis's transfer for reading back, colour, marker and line."""
+"""Name of a way through the grid -> (transfer of `Sph`, method of `sph.gather`, colour, marker, line style)."""
 
 
 def transfer_loss(states: Sequence[State], start: Sph, *, method: str = "bilinear") -> float:
-    """Change of the solved impulses by the round trip through the grid: mean over states of ‖λ' − λ‖ / ‖λ‖.
+    """Return the mean over states of ‖λ' − λ‖ / ‖λ‖, where λ' are the solved impulses λ after the way through the grid.
 
-    method: how the image of the thesis's transfer is read, as for `sph.gather`; the consistent transfer is bilinear.
+    states: solved states. start: the transfer. method: method of `sph.gather`, which only the thesis's transfer uses.
     """
     errors = []
     for state in states:
@@ -48,12 +54,14 @@ def transfer_loss(states: Sequence[State], start: Sph, *, method: str = "bilinea
 
 
 def motion_loss(states: Sequence[State], start: Sph) -> dict[str, float]:
-    """Relative losses in the image of the circles' motion (Algorithm 2), means over the states.
+    """Return relative losses of the circles' motion in its image (Algorithm 2), means over the states.
 
-    "velocities of circles" is ‖u' − u‖ / ‖u‖ with u = (v_x, v_y, ω). Here u' is read from the image at the circles; it
-    is scaled by the mass of each circle, which is known, over the mass that is read. The other losses compare sums over
-    the nodes with sums over the circles, as a share of the sum of sizes: "mass and momentum" (the larger one), "energy"
-    and "angular momentum", of motion without spin.
+    "velocities of circles" is ‖u' − u‖ / ‖u‖ with u = (v_x, v_y, ω). u' is read from the image at the circles. It is
+    then multiplied by the known mass of the circle over the mass that is read from the image.
+
+    "mass and momentum", "angular momentum" and "energy" compare the sum of a quantity over the nodes with its sum over
+    the circles. The difference is divided by the sum of the quantity's absolute values over the circles. The spin is
+    left out. "mass and momentum" is the largest of the losses of mass and of both components of momentum.
     """
     errors = []
     h = start.spacing if start.support is None else start.support
@@ -68,7 +76,7 @@ def motion_loss(states: Sequence[State], start: Sph) -> dict[str, float]:
         change = back[:, 1:4] * (mass / back[:, :1]) - motion
         nodes = np.stack(np.meshgrid(*grid.nodes), axis=-1)[image[..., 0] > 0]
         before, after = _sums(places, values), _sums(nodes, image[image[..., 0] > 0])
-        # What no circle has, such as momentum along x before the first contact, is not lost.
+        # If a quantity is 0 for all circles, such as the momentum along x before the first contact, its loss is 0.
         size, least = np.abs(before).sum(axis=0), np.finfo(float).tiny
         kept = np.abs(after.sum(axis=0) - before.sum(axis=0)) / np.maximum(size, least)
         errors.append([np.linalg.norm(change) / max(np.linalg.norm(motion), least), kept[:3].max(), *kept[3:]])
@@ -77,13 +85,19 @@ def motion_loss(states: Sequence[State], start: Sph) -> dict[str, float]:
 
 
 def _sums(places: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Mass, momentum (x, y), angular momentum and energy of each particle, (n, 5). values: m first, m v last."""
+    """Return mass, momentum (x, y), angular momentum and energy of each particle, (n, 5).
+
+    places: positions, (n, 2), m. values: the first column is the mass m, kg, and the last two are m v, kg m/s.
+    """
     mass, (x, y), (p_x, p_y) = values[:, 0], places.T, values[:, -2:].T
     return np.column_stack([mass, p_x, p_y, x * p_y - y * p_x, (p_x**2 + p_y**2) / (2 * mass)])
 
 
 def isolated_contacts(count: int, *, seed: int) -> list[State]:
-    """States with one contact each, of impulse (1, 0.3) N·s, at random places in the thesis's box."""
+    """Return `count` states that have one contact each, at a random place in the thesis's box.
+
+    The impulses of a contact are λ_n = 1 N·s and λ_t = 0.3 N·s.
+    """
     rng = np.random.default_rng(seed)
     states = []
     for centre in rng.uniform(10.0, 20.0, (count, 2)):
@@ -97,9 +111,10 @@ def isolated_contacts(count: int, *, seed: int) -> list[State]:
 
 
 def compute(options, seed, jobs, progress):
-    """Relative loss of isolated contacts and of piles for every kernel, d, h and way; and by d for mixed radii.
+    """Measure the losses of isolated contacts and of piles for every kernel, d, h and way through the grid.
 
-    "by scene" has the losses that the thesis speaks of, one for each scene of equal circles.
+    The data's "by spacing" has the losses by d, also for mixed radii. "by scene" has the losses on which claims are
+    made: name -> a loss for each scene of equal circles.
     """
     seeds, n = [seed, *parallel.seeds(seed, options["scenes"] - 1)], options["n_bodies"]
 
@@ -159,7 +174,10 @@ CLAIMS = [
     ("the authors' sharing loses less than our consistent transfer",
      "authors' sharing", "consistent", None, verdicts.FASTER),
 ]  # fmt: skip
-"""Text, the loss that is judged, the loss that divides it or None, the place in the thesis or None, the range."""
+"""Claims on the ratio of two losses, or on one loss if the second name is None.
+
+A claim is (text, name of the loss, name of the loss that divides it or None, place in the thesis or None, range).
+"""
 
 
 def claims(data):
@@ -174,7 +192,7 @@ def claims(data):
     text = "at d = h = 0.5 the consistent transfer changes the impulses of a pile of equal circles by under 1e-3"
     yield Claim(text, None, equal[0.5] < 1e-3, {"relative error": equal[0.5]})
     text = "for radii from 0.5 to 2 the consistent transfer's error grows with d"
-    grows = bool(np.all(np.diff(np.maximum(list(mixed.values()), 1e-12)) >= 0))  # below lies rounding
+    grows = bool(np.all(np.diff(np.maximum(list(mixed.values()), 1e-12)) >= 0))  # smaller errors are rounding errors
     yield Claim(text, None, grows, {f"d = {d:g}": error for d, error in mixed.items()})
 
 
@@ -187,9 +205,10 @@ def table(data):
 
 
 def draw(data, options):
-    """Relative error of the impulses by d = h for every way, in piles of equal circles and of mixed radii.
+    """Draw the relative error of the impulses against d = h for every way, for equal circles and for mixed radii.
 
-    The axis is linear: a loss above a tenth matters to a start, the size of a small loss does not (the table has it).
+    The axis of the error is linear. A loss above a tenth matters for a start, and the size of a small loss does not.
+    The table has the small losses.
     """
     figure, panels = plotting.subplots(1, 2, size=(plotting.PAGE, 3.8), sharey=True)
     titles = {"equal": "circles of radius 1 m", "mixed": "radii from 0.5 to 2 m"}

@@ -1,14 +1,15 @@
-"""python scripts/figure_6_6_stability.py: how far each quantity can be pushed, in our engine and in two others.
+"""python scripts/figure_6_6_stability.py: extreme values of each quantity, in this package and in two other engines.
 
-`QUANTITIES` lists which quantity is pushed how far and in which scene; `measure` runs one such scene in one engine and
-judges the outcome. A scene is
+`QUANTITIES` lists the quantities, their values and the scenes. `measure` runs one scene in one engine, and judges the
+outcome. A scene is
 
-* **safe** where everything stays in the box and in its order, the circles end no deeper in each other than position
-  correction leaves them (three slops, or a tenth of the smallest radius if that is less), and the energy never rises
-  by more than a hundredth of its initial value;
-* **degraded** where everything stays bounded, but one of the last two conditions does not hold;
-* **failed** where a number is not finite, a circle has left the box or passed through another, or the energy doubles;
-* **refused** where the engine raises an error before the first step, or an adapter cannot build the scene.
+* **safe** if all circles stay in the box and in their order, if their final penetration is at most what position
+  correction allows (three slops, or a tenth of the smallest radius if that is less), and if the energy never rises by
+  more than a hundredth of its initial value;
+* **degraded** if the penetration or the energy is larger, but the scene has not failed;
+* **failed** if a number is not finite, a circle has left the box or passed through another, or the energy doubles;
+* **refused** if the engine raises an error before the first step, or an adapter cannot build the scene;
+* **absent** if the engine is not installed.
 """
 
 import time
@@ -55,22 +56,23 @@ SAFE, DEGRADED, FAILED, REFUSED, ABSENT = ("safe", "degraded", "failed", "refuse
 ENGINES = ("ours", "Box2D 2.3", "pymunk")
 
 ENERGY_TOLERANCE = 0.01
-"""Rise of the mechanical energy that a safe scene may show, as a share of its initial value."""
+"""Largest rise of the mechanical energy in a safe scene, as a share of its initial value."""
 
 SOLVER = PGS(sweeps=50, tolerance=None)
-"""Solver of a trial, or iterations of another engine, where sweeps are not the quantity that is pushed."""
+"""Solver of a trial, if the sweeps are not the quantity that varies. Other engines do as many iterations."""
 
 ACCURATE = PGS(sweeps=100_000, tolerance=1e-9)
-"""The most accurate setting here: it nearly always ends by its tolerance."""
+"""Most accurate solver of this figure. It nearly always reaches its tolerance."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """One scene to run.
+    """A scene to run, and how.
 
-    solver: its sweeps are those of every engine. recognised: whether ours takes the solver of the presets instead where
-    a scene is too stiff for a few sweeps. ordered: axis along which the circles have to keep the order of their
-    numbers, or None.
+    scene: the scene. steps: number of time steps. solver: solver of this package; other engines do the same number of
+    sweeps. warm_start: start of every step. ordered: axis (0 or 1) along which the circles have to keep the order of
+    their indices, or None. recognised: whether this package takes the solver of the presets instead of `solver`, if a
+    few sweeps are not enough for the stiffness of the scene.
     """
 
     scene: State
@@ -83,16 +85,19 @@ class Trial:
 
 
 ROUNDING = 1e-9
-"""Rise of the energy that rounding may cause, as a share of its initial value."""
+"""Largest rise of the energy that counts as a rounding error, as a share of its initial value."""
 MILD_START = 1e12
-"""Largest misleading start, in weights, whose rounding errors stay below `ROUNDING`."""
+"""Largest factor of `misleading_start` with which the rise of the energy by rounding stays below `ROUNDING`."""
 
 
-# ---- the scenes, and how far each quantity is pushed ----
+# ---- the scenes, and the values of each quantity ----
 
 
 def struck_silo(n: int, *, dt: float = constants.TIME_STEP, **options) -> State:
-    """A silo whose top circle arrives at 5 m/s in step 20 with every Δt and gravity. options: those of `column`."""
+    """Return a silo of n circles, of which the highest falls onto the others at 5 m/s.
+
+    It starts so high that it arrives in step 20 for every Δt. dt: time step, s. options: arguments of `column`.
+    """
     scene = silo(n, **options).replace(dt=dt)
     position, velocity = scene.bodies.position.copy(), scene.bodies.velocity.copy()
     position[-1, 1] += min(5.0 * dt, scene.scales.max_translation) * 20
@@ -102,7 +107,10 @@ def struck_silo(n: int, *, dt: float = constants.TIME_STEP, **options) -> State:
 
 
 def bed_under(ratio: float) -> State:
-    """A circle `ratio` times as large as the eight in a row on the floor that carry it; all weigh the same."""
+    """Return a row of eight circles of radius 1 m on the floor, which carry a circle of the radius `ratio`, m.
+
+    All circles have the same mass.
+    """
     radius = np.array([1.0] * 8 + [ratio])
     skin = WALL_SKIN * mean(radius)
     width = 2 * max(8, ratio) + 2 * skin
@@ -112,27 +120,31 @@ def bed_under(ratio: float) -> State:
 
 
 def cornered(depth: float) -> State:
-    """Five circles on a diagonal, touching, without gravity; the first is `depth` m too deep in a corner, both ways."""
+    """Return five touching circles on a diagonal, without gravity, of which the first penetrates a corner.
+
+    depth: penetration of both walls, m.
+    """
     centres = 1.01 - depth + np.sqrt(2) * np.arange(5)[:, None] * np.ones(2)
     return State(name="corner_5", world=World(gravity=(0, 0)), bodies=make_bodies(centres))
 
 
 def shifted(scene: State, by: float) -> State:
-    """The scene moved by (by, by), m."""
+    """Return the scene translated by the vector (by, by), m."""
     world = replace(scene.world, box=tuple(side + by for side in scene.world.box))
     return with_bodies(scene, position=scene.bodies.position + by).replace(world=world)
 
 
 def small_pile(**options) -> State:
-    """Thirty circles that fall into a box ten wide."""
+    """Return thirty circles that fall into a box with a width of 10 m. options: arguments of `circles_in_box`."""
     return circles_in_box(30, size=(10.0, 40.0), sigma_coef=1.2, seed=5, **options)
 
 
 def misleading_start(kind: str, factor: float):
-    """A start far from the solution, in units of W = Δt times the weight of all circles.
+    """Return a start, as a function (state, solver) -> (λ_n, λ_t), that is far from the solution.
 
-    "huge": all normal impulses are factor · W. "pulling": all are -factor · W. "outside": normal impulses are W,
-    friction is ± factor · W by turns, far outside the cone.
+    W is Δt times the weight of all circles, N·s. kind: with "huge" all λ_n are factor · W. With "pulling" all λ_n are
+    -factor · W. With "outside" all λ_n are W, and λ_t alternates between factor · W and -factor · W, far outside of the
+    friction cone.
     """
 
     def start(state, solver):
@@ -150,12 +162,12 @@ def _powers(first: int, last: int) -> tuple[float, ...]:
 
 
 def _stacked(scene: State, steps: int, **options) -> Trial:
-    """The trial of a scene whose circles stay above one another."""
+    """Return the `Trial` of a scene whose circles have to stay above one another. options: fields of the `Trial`."""
     return Trial(scene, steps, ordered=1, **options)
 
 
 def _misled(kind: str) -> Callable:
-    # Every step starts as badly as the first, so 40 steps show the effect.
+    # Every step has the same misleading start, so 40 steps are enough to show the effect.
     return lambda v, s: Trial(pyramid(5), min(s, 40), solver=ACCURATE, warm_start=misleading_start(kind, v))
 
 
@@ -188,7 +200,7 @@ QUANTITIES: dict[str, tuple[str, tuple, Callable[[float, int], Trial]]] = {
     "friction": (
         "", (0.0, 1e-9, 0.5, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12), lambda v, s: Trial(small_pile(friction=v), 2 * s)
     ),
-    # At e = 1 friction alone brings the pile to rest, within 1,300 steps.
+    # At e = 1 only friction dissipates energy, and the pile comes to rest within 1,300 steps.
     "restitution": ("", (0.0, 0.25, 0.5, 0.75, 1.0), lambda v, s: Trial(small_pile(restitution=v), 4 * s)),
     "overlap": ("of the diameter", (0.0, 1e-6, 0.01, 0.1, 0.5, 0.9, 1.0), lambda v, s: Trial(overlapping(v), s)),
     "coinciding circles": ("circles", (2, 5, 10, 20, 50, 100, 200), lambda v, s: Trial(overlapping(1.0, v), s)),
@@ -205,26 +217,31 @@ QUANTITIES: dict[str, tuple[str, tuple, Callable[[float, int], Trial]]] = {
     "start, pulling": ("weights", (1.0, 10.0, *_FAR), _misled("pulling")),
     "start, outside the cone": ("weights", (0.5, 1.0, 10.0, *_FAR), _misled("outside")),
 }  # fmt: skip
-"""Quantity that Figure 6.6 pushes -> its unit, its values, and the function (value, steps) -> `Trial`."""
+"""Quantity that varies in Figure 6.6 -> (its unit, its values, function (value, steps) -> `Trial`)."""
 
 OURS_ALONE = ("tolerance", "start, huge", "start, pulling", "start, outside the cone")
-"""Quantities that other engines do not have."""
+"""Quantities that only this package has."""
 
 
 # ---- outcomes ----
 
 
 def measure(trial: Trial, engine: str = "ours") -> dict:
-    """Run a trial in an engine of `ENGINES`.
+    """Run a trial in an engine of `ENGINES`, and judge the outcome.
 
-    Returns {"verdict": `SAFE` or another, "message": why it was refused, or how it failed, "finite": whether all
-    numbers were, "energy": largest rise of the mechanical energy over its initial value, as a share of the scale,
-    "correction": work of position correction against gravity, as a share of the scale, ours only, "settled": deepest
-    penetration of the last tenth of the steps, slops, "speed": largest speed at the end, m/s, "us": processor time of a
-    step after the trial's, μs}. A number is None where there is no run, or where it is not finite.
+    Returns a dict. A number in it is None if there was no run, or if the number is not finite:
 
-    The scale of energy is the initial energy, kinetic and potential above the lowest place in the box; where
-    that is 0, the kinetic energy of all circles at 1 m/s.
+    * "verdict": "safe", "degraded", "failed", "refused" or "absent";
+    * "message": reason of a refusal or failure;
+    * "finite": whether all numbers were finite;
+    * "energy": largest rise of the mechanical energy above its initial value, over the energy scale;
+    * "correction": work of position correction against gravity, over the energy scale, for this package only;
+    * "settled": largest penetration in the last tenth of the steps, in slops;
+    * "speed": largest speed at the end, m/s;
+    * "us": processor time of a step, measured after the trial, μs.
+
+    The energy scale is the initial energy, which is kinetic energy and potential energy above the lowest point of the
+    box. If it is 0, the scale is the kinetic energy of all circles at 1 m/s.
     """
     # Reading the bodies of another engine takes longer than one of its steps.
     every = 1 if engine == "ours" else max(1, trial.scene.bodies.count // 250)
@@ -239,7 +256,8 @@ def measure(trial: Trial, engine: str = "ours") -> dict:
     except (ImportError, FileNotFoundError) as error:
         return _without_run(ABSENT, error)
     except (ValueError, AssertionError, ArithmeticError) as error:
-        # An error before the first step is a refusal; later, numbers have left the limits of a state.
+        # An error before the first step is a refusal. A later error means that numbers are beyond the limits of a
+        # state.
         return watch.outcome(str(error)) if watch.depth else _without_run(REFUSED, error)
     return watch.outcome()
 
@@ -250,10 +268,10 @@ def _without_run(verdict: str, error: Exception) -> dict:
 
 
 def _begin(trial: Trial, engine: str) -> Run:
-    """The run of a trial in an engine."""
+    """Return the `Run` of a trial in an engine, before its first step."""
     scene, solver = trial.scene, trial.solver
     if engine == "pymunk" and solver.sweeps == 0:
-        raise ValueError("iterations must be positive and non-zero")  # Chipmunk prints this and ends the process
+        raise ValueError("iterations must be positive and non-zero")  # Chipmunk would end the process
     if engine != "ours":
         budget = {"sweeps": solver.sweeps, "position_sweeps": solver.position_sweeps}
         return Run(scene, {"engine": engine, "dt": scene.dt, **budget})
@@ -262,7 +280,7 @@ def _begin(trial: Trial, engine: str) -> Run:
 
 
 class _Watch:
-    """The largest values of what is observed of the bodies, once in `every` steps."""
+    """The observations of a trial's bodies once every `every` steps, from which `outcome` makes the result."""
 
     def __init__(self, trial: Trial, every: int):
         self.every, self.trial, self.scene, self.before = every, trial, trial.scene, trial.scene.bodies
@@ -275,18 +293,19 @@ class _Watch:
 
     def see(self, bodies: Bodies, *, ours: bool) -> None:
         step, axis = self.every * (len(self.depth) + 1) - 1, self.trial.ordered
-        # A rise counts only if the next step keeps it: a circle whose path ends early at a contact has the velocity of
-        # a whole step until the next step solves that contact (`continuous`).
+        # A rise of the energy counts only if it is still there at the next observation. Continuous collision detection
+        # may shorten the path of a circle at a contact. Its velocity is then that of a whole step until the next step
+        # solves the contact (`continuous`).
         rise = (mechanical_energy(self.scene, bodies) - self.first) / self.scale
         self.energy, self.rise = max(self.energy, min(self.rise, rise)), rise
         self.speed = float(np.hypot(*bodies.velocity.T).max())
         self.depth.append(metrics.penetration(self.scene.replace(bodies=bodies)))
-        if ours:  # the work of position correction against gravity
+        if ours:  # add the work of position correction against gravity in this step
             corrected = bodies.position - self.before.position - self.scene.dt * bodies.velocity
             lift = -(bodies.mass[:, None] * np.asarray(self.scene.world.gravity) * corrected).sum()
             self.correction += max(0.0, lift) / self.scale
         self.before = bodies
-        # Circles that began outside have until the last step to come back.
+        # A circle that is outside of the box at the beginning may stay outside until the last step.
         due = _inside(self.scene, self.scene.bodies) if step < self.trial.steps - self.every else True
         left = np.flatnonzero(~_inside(self.scene, bodies) & due)
         if left.size:
@@ -295,9 +314,9 @@ class _Watch:
             self.lost = self.lost or f"step {step}: a circle has passed through another"
 
     def outcome(self, error: str | None = None) -> dict:
-        """The result of `measure`. error: message of the error that ended the run, or None."""
+        """Return the result of `measure`. error: message of the error that ended the run, or None."""
         slop, settled = self.scene.scales.slop, max(self.depth[-max(1, len(self.depth) // 10) :], default=0.0)
-        # Rounding at the circles' coordinates is not penetration.
+        # The factor 1 + 1e-9 allows for rounding errors of the coordinates.
         allowed = min(POSITION_TOLERANCE * slop, 0.1 * float(self.scene.bodies.radius.min())) * (1 + 1e-9)
         rose = f"the energy rose by {self.energy:.3g} of its initial value" if self.energy > 1 else ""
         message = error or self.lost or rose
@@ -314,9 +333,9 @@ def _inside(scene: State, bodies: Bodies) -> np.ndarray:
 
 
 def run_case(case: dict) -> dict:
-    """The first three fields of a case {"quantity", "value", "engine", "steps"}, and the result of `measure` for it.
+    """Build and run the trial of a case. Returns its quantity, value and engine, with the result of `measure`.
 
-    A scene that cannot be built counts as refused.
+    A scene that cannot be built counts as refused. case: dict with "quantity", "value", "engine" and "steps".
     """
     _, _, trial_of = QUANTITIES[case["quantity"]]
     about = {"quantity": case["quantity"], "value": float(case["value"]), "engine": case["engine"]}
@@ -332,7 +351,10 @@ def run_case(case: dict) -> dict:
 
 
 def compute(options, seed, jobs, progress):
-    """Every value of every quantity, or every other value if "few", in every engine that has the quantity."""
+    """Run the trials of all values of all quantities in every engine that has the quantity.
+
+    If the option "few" is true, every other value is left out.
+    """
     cases, units = [], {}
     for name in options["quantities"]:
         units[name], values, _ = QUANTITIES[one_of("quantities", name, QUANTITIES)]
@@ -343,7 +365,7 @@ def compute(options, seed, jobs, progress):
 
 
 def unearned(cell):
-    """Rise of the energy beyond the work of position correction, as a share of its initial value."""
+    """Return the rise of the energy minus the work of position correction, over the energy scale (`measure`)."""
     return cell["energy"] - (cell["correction"] or 0.0)
 
 
@@ -370,7 +392,10 @@ def claims(data):
 
 
 def by_quantity(data):
-    """quantity -> engine -> its cells, by rising value; no cells for an engine without the quantity."""
+    """Return the results ordered by value: quantity -> engine -> results of `run_case`.
+
+    The list of an engine that does not have the quantity is empty.
+    """
     grouped = {name: {engine: [] for engine in ENGINES} for name in data["units"]}
     for cell in sorted(data["cells"], key=lambda cell: cell["value"]):
         grouped[cell["quantity"]][cell["engine"]].append(cell)
@@ -378,14 +403,20 @@ def by_quantity(data):
 
 
 def ranges(cells, verdict):
-    """The values that got the verdict, as text: "1 to 100; 1e+06"."""
+    """Return the values with some verdict as a text: "1 to 100; 1e+06". None if there is no such value.
+
+    cells: results of `run_case` by ascending value.
+    """
     runs = [list(group) for said, group in groupby(cells, key=lambda cell: cell["verdict"]) if said == verdict]
     ends = [[f"{cell['value']:g}" for cell in (run[0], run[-1])] for run in runs]
     return "; ".join(low if low == high else f"{low} to {high}" for low, high in ends) or None
 
 
 def spread(cells, key):
-    """[least, median, largest] of a number over the scenes that were run to the end; None without such a scene."""
+    """Return [least, median, largest] of a number over the safe and degraded scenes, or None if there are none.
+
+    key: name of the number in the results of `run_case`.
+    """
     kept = [cell[key] for cell in cells if cell["verdict"] in (SAFE, DEGRADED) and cell[key] is not None]
     return [float(value) for value in np.percentile(kept, (0, 50, 100))] if kept else None
 
@@ -405,8 +436,11 @@ LOOKS = {"ours": (plotting.BLUE, "o")} | {name: (plotting.GREY, plotting.ENGINE_
 
 
 def draw(data, options):
-    """Left: which of the pushed values are safe, from the least to the largest, ours above the others. Middle and
-    right: depth at rest and time of a step, median and range over the values that were run to the end.
+    """Draw three panels.
+
+    The left panel has the verdict for each value, from the least to the largest, with this package above the others.
+    The other panels have the final penetration and the time of a step, median and range over the safe and degraded
+    values.
     """
     from matplotlib.patches import Patch
 

@@ -1,6 +1,7 @@
-"""python scripts/figure_6_7_scene_requirements.py: what modelling only what a scene requires saves.
+"""python scripts/figure_6_7_scene_requirements.py: savings by leaving out what a scene does not require.
 
-Times are taken in this process, one after the other: nothing else should run meanwhile.
+Examples are friction rows, position correction and the solution of sleeping circles. Times are measured in this
+process, one after the other. No other program should run at the same time.
 """
 
 import functools
@@ -22,25 +23,25 @@ from deep_contact.studies import piles, timing
 from deep_contact.studies.starts import solved_states
 
 FEW = 10
-"""Sweeps of the shorter of two solves, whose difference is the time of a sweep."""
+"""Number of sweeps in the shorter of two solves. The difference of their times gives the time of a sweep."""
 
 ENOUGH = 1_000_000
-"""Relaxations of contacts by which the longer solve exceeds the shorter one."""
+"""Number of relaxations of contacts that the longer solve does more than the shorter one."""
 
 
 STEP = PGS(sweeps=10, tolerance=None)
-"""Solver of the steps whose parts are compared."""
+"""Solver of the steps that are timed."""
 
 SCATTERED = {"size": (300.0, 30.0), "sigma_coef": 5.0}
-"""A box in which circles fall into many heaps."""
+"""Options of `circles_in_box` with which the circles fall into many separate heaps."""
 
 
 interleaved = functools.partial(timing.interleaved, reduce=np.array, clock=time.thread_time)
-"""Name -> processor times of this thread in all repeats, (repeats,), s: other programs and waiting do not count."""
+"""`timing.interleaved` that returns name -> processor times of this thread in all repeats, (repeats,), s."""
 
 
 def at_rest(scene: State) -> State:
-    """The scene once all of its circles sleep, or after 60 s."""
+    """Simulate a scene until all its circles sleep, or for at most 60 s, and return its state."""
     for _ in range(60):
         run = simulate(scene, steps=100, solver=PGS(sweeps=200), sleep=True)
         scene = run.state
@@ -50,21 +51,25 @@ def at_rest(scene: State) -> State:
 
 
 def apart(one: State, other: State) -> float:
-    """Largest distance between a circle in one state and in the other, m."""
+    """Return the largest distance between the positions of a circle in two states, m."""
     return float(np.hypot(*(one.bodies.position - other.bodies.position).T).max())
 
 
 def ratio(general: np.ndarray, special: np.ndarray) -> dict[str, float]:
-    """What the special way saves: median and quartiles of the ratios of paired times, (repeats,), and both minima."""
+    """Compare the times of a general and a special way of doing the same, (repeats,), s.
+
+    Returns {"ratio": median of general over special, "low", "high": its quartiles, "general", "special": least times}.
+    """
     low, middle, high = np.percentile(general / special, (25, 50, 75))
     return {"ratio": middle, "low": low, "high": high, "general": general.min(), "special": special.min()}
 
 
 def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
-    """What rows without tangents save a sweep of a resting pile, ns per contact and sweep.
+    """Measure the time that a sweep of a resting pile saves without tangent rows. Returns the result of `ratio`.
 
-    "apart": how far circles are apart after `steps` steps with and without tangents, m. Friction of 1e-300 needs
-    tangent rows, and moves nothing.
+    Its times are those of a contact in a sweep, ns. Its entry "apart" is the largest distance between circles after
+    `steps` steps with and without tangent rows, m. For this comparison the friction is 0 and 1e-300. The latter needs
+    tangent rows, but its forces are negligible.
     """
     pile = ready(at_rest(piles.scene(n_bodies, seed)))
     contacts = pile.contacts._replace(tangent_start=np.zeros(pile.contacts.count))
@@ -86,9 +91,10 @@ def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
 
 
 def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
-    """What being awake and position correction cost a resting pile, s per step of `STEP`.
+    """Measure the time that a resting pile saves if it sleeps, and without position correction.
 
-    "apart": how far circles are apart after `steps` steps with and without the part, m.
+    Returns name of the saving -> result of `ratio`, whose times are those of a step with `STEP`, s. Its entry "apart"
+    is the largest distance between circles after `steps` steps with and without the saving, m.
     """
     pile = at_rest(piles.scene(n_bodies, seed))
     ways = {
@@ -98,7 +104,7 @@ def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[
     }
     runs = {name: functools.partial(one.step, steps) for name, one in ways.items()}
     for run in runs.values():
-        run()  # in which circles fall asleep
+        run()  # circles fall asleep in these steps, which are not timed
     ends = {name: one.state for name, one in ways.items()}
     times = {name: took / steps for name, took in interleaved(runs, repeats=repeats).items()}
     return {
@@ -108,9 +114,11 @@ def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[
 
 
 def island_savings(scene: State, *, steps: int, every: int) -> dict:
-    """What islands save a run: {"relaxations", "seconds": (without islands, with them), "difference"}.
+    """Measure what solving islands one by one saves in a run.
 
-    "difference", m/s: largest between the velocities of both, of one in `every` states of the run without islands.
+    Returns {"relaxations": number of relaxations [without islands, with them], "seconds": time of the run [without,
+    with], s, "difference": m/s}. The difference is the largest one between the velocities that both solvers compute for
+    the same state. It is taken over one state every `every` steps of the run without islands.
     """
     ways = {"together": PGS(), "islands": PGS(islands=True)}
     runs = {name: functools.partial(simulate, scene, steps=steps, solver=solver) for name, solver in ways.items()}
@@ -123,7 +131,11 @@ def island_savings(scene: State, *, steps: int, every: int) -> dict:
 
 
 def saving_by_scene(runs: list[dict], unit: str) -> dict:
-    """The saving in the runs of `island_savings`, of "relaxations" or "seconds". "apart", m, is that after one step."""
+    """Return the `ratio` of relaxations or times without islands to those with islands, over several runs.
+
+    runs: results of `island_savings`. unit: "relaxations" or "seconds". The entry "apart" is the largest distance
+    between circles after one step, m.
+    """
     general, special = np.array([run[unit] for run in runs], dtype=float).T
     return ratio(general, special) | {"apart": constants.TIME_STEP * max(run["difference"] for run in runs)}
 
@@ -135,11 +147,11 @@ JOBS = {
     "predict": "import deep_contact as dc; state = dc.simulate(dc.column(10), steps=1).state; "
     "dc.load_model('far field').predict(state)",
 }
-"""Job -> its code."""
+"""Name of a job -> its Python code."""
 
 
 def job(name: str) -> dict:
-    """The result of `timing.fresh` for a job, after a first process has filled the caches."""
+    """Return the result of `timing.fresh` for a job. A first process, which is not measured, has filled the caches."""
     timing.fresh(JOBS[name])
     return timing.fresh(JOBS[name])
 
@@ -152,20 +164,20 @@ NAMES = {
     "islands, heaps": ("islands, scattered heaps: relaxations", ""),
     "islands, heaps, time": ("islands, scattered heaps: time", "ms"),
 }
-"""Saving -> its name in words, and the unit of its costs. The saving of a sweep is named by the number of circles."""
+"""Name of a saving in the data -> (its name in the figure, unit of its times). Savings of a sweep have other names."""
 
 PER_SECOND = {"µs": 1e6, "ms": 1e3}
-"""Unit of a time -> number of units in a second. The time of a sweep is stored in ns."""
+"""Unit of a time -> number of such units in a second."""
 
 SMALLEST = 1e-15
-"""A difference of 0 is drawn at this value, m."""
+"""Distance at which a distance of 0 is drawn on the logarithmic axis, m."""
 
 CONTEXTS = {"islands, one pile": ("the thesis's scene", {}), "islands, heaps": ("scattered heaps", SCATTERED)}
-"""Saving of islands -> the scenes in words, and their options."""
+"""Name of a saving by islands -> (words for its scenes, their options)."""
 
 
 def compute(options, seed, jobs, progress):
-    """Every saving, one after the other: nothing may run beside what is timed."""
+    """Measure every saving, one after the other, since no other program may run at the same time."""
     n, timed, sweeps, islands = options["n_bodies"], {"steps": options["timed"], "repeats": options["repeats"]}, {}, {}
     for size in progress(options["sizes"], text="sweeps"):
         sweeps[str(size)] = {"frictionless": sweep_saving(size, seed, **timed)}
@@ -201,14 +213,17 @@ def claims(data):
 
 
 def named_savings(data):
-    """(name, unit, saving) of all savings: those of a sweep by number of circles, then others."""
+    """Return (name in the figure, unit of the times, result of `ratio`) for all savings.
+
+    The savings of a sweep come first, one for each number of circles.
+    """
     text, sweeps = "no tangent rows, no spin: a sweep, {:,} circles", data["sweeps"].items()
     rows = [(text.format(int(n)), "ns a contact", one["frictionless"]) for n, one in sweeps]
     return rows + [(*names, data["savings"][name]) for name, names in NAMES.items()]
 
 
 def table(data):
-    """Costs with and without each saving, and the time of each job, which is a process of its own."""
+    """Return the rows of the table: the times with and without each saving, and the time of each job."""
     rows = [["what", "times cheaper", "quartiles", "apart, m", "general", "special", "unit"]]
     for name, unit, one in named_savings(data):
         paid = [PER_SECOND.get(unit, 1) * one[which] for which in ("general", "special")]
@@ -219,7 +234,7 @@ def table(data):
 
 
 def draw(data, options):
-    """Left: how many times cheaper each saving is, with quartiles. Right: how far it moves circles."""
+    """Draw two panels. Left: the ratio of times for each saving, with quartiles. Right: how far it moves circles."""
     rows = named_savings(data)
     figure, (left, right) = plotting.subplots(
         1, 2, size=(plotting.PAGE, 0.3 * len(rows) + 1.2), sharey=True, width_ratios=(1.6, 1)

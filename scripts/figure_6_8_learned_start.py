@@ -1,9 +1,9 @@
-"""python scripts/figure_6_8_learned_start.py: what a learned start leaves after few sweeps from given states.
+"""python scripts/figure_6_8_learned_start.py: velocity errors after few sweeps from a start that a network predicts.
 
-A setting is a start and the solver that follows it, such as "builtin, NNCG"; after "builtin" alone follows PGS. The
-learned start with its best solver is compared with the best classical setting; both are chosen after the errors are
-known. Errors are velocity errors (`metrics`) on the same states: setting -> (states, numbers of sweeps). No network was
-trained on scenes of these seeds.
+A setting is a start and the solver that follows, such as "builtin, NNCG". The solver of "builtin" alone is PGS. The
+learned start with its best solver is compared with the best setting of classical starts. Both are chosen after the
+errors are known. All settings are run on the same states. Errors are relative velocity errors (`metrics`), a dict: name
+of the setting -> (states, numbers of sweeps). No network was trained on scenes with the seeds of this figure.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -31,22 +31,23 @@ SOLVERS = {
     "NesterovPGS": NesterovPGS(),
     "NNCG": NNCG(),
 }
-"""Solvers that follow a start. The third is the best PSOR along runs: ω of the normal and of the friction rows."""
+"""Name -> solver that follows a start. The third is the best PSOR in runs, with ω of the normal and friction rows."""
 
 CLASSICAL = ("none", "builtin", "scaled")
-"""Starts that nothing was trained for."""
+"""Names of the starts that no network predicts."""
 
 LEARNED = "far field"
+"""Name of the start that the network predicts."""
 
 FEW = (3, 10, 30)
-"""Numbers of sweeps that the claims are about."""
+"""Numbers of sweeps for which claims are made."""
 
 OFF = 0.05
-"""Velocity error of Builtin's start above which a better start can matter."""
+"""Velocity error of Builtin's start, before any sweep, above which a better start can matter."""
 
 
 def settings_with(starts: Iterable[str]) -> dict:
-    """Name -> (start, solver) of every start with every solver."""
+    """Return every combination of a start and a solver: name of the setting -> (name of the start, solver)."""
     return {
         start if name == "PGS" else f"{start}, {name}": (start, solver)
         for start, (name, solver) in product(starts, SOLVERS.items())
@@ -54,7 +55,11 @@ def settings_with(starts: Iterable[str]) -> dict:
 
 
 def errors_of(state: State, impulses: Mapping, settings: Mapping, sweeps: Sequence, solution: ContactSolution) -> dict:
-    """Setting -> velocity errors after each number of `sweeps`. impulses: start -> its impulses."""
+    """Return velocity errors in a state: name of the setting -> errors after each number of sweeps.
+
+    impulses: name of the start -> its impulses (λ_n, λ_t), N·s. settings: result of `settings_with`. sweeps: numbers of
+    sweeps. solution: the reference solution.
+    """
     errors = {}
     for name, (start, solver) in settings.items():
         ends = (solve(state, replace(solver, sweeps=k, tolerance=None), *impulses[start]) for k in sweeps)
@@ -63,7 +68,7 @@ def errors_of(state: State, impulses: Mapping, settings: Mapping, sweeps: Sequen
 
 
 def compute(options, seed, jobs, progress):
-    """Every start with every solver on the same states of held-out scenes."""
+    """Measure the errors of every start with every solver on the same states of held-out scenes."""
     integer("scenes", options["scenes"], least=2)  # a single scene has no interval
     starts = {name: name for name in CLASSICAL} | {LEARNED: {"model": options["model"]}}
     tasks = [{**options, "starts": starts, "seed": s} for s in parallel.seeds(seed + 10_000, options["scenes"])]
@@ -72,11 +77,13 @@ def compute(options, seed, jobs, progress):
 
 
 def errors_on_scene(task: Mapping) -> dict:
-    """Errors of starts with all of `SOLVERS` on the same states of a scene of the thesis, with μ = 0.3.
+    """Measure the errors of all starts with all `SOLVERS` on some states of one scene.
 
-    The training data have μ = 0.5. task: a dict. "starts": name -> description (`start_of`), with "builtin" among them.
-    "seed" and "steps": of the scene. "every": number of steps from one measured state to the next. "after": numbers of
-    sweeps after which errors are measured. Returns {"step": (states,), "errors": {setting: (states, len(after))}}.
+    The scene is the thesis's, but with μ = 0.3; the training data have μ = 0.5.
+    task: a dict. "starts" is name -> description (`start_of`), which includes "builtin". "seed" is the seed of the
+    scene, and "steps" its number of time steps. "every" is the number of steps between measured states. "after" has the
+    numbers of sweeps after which errors are measured. Returns {"step": number of the time step of each state, "errors":
+    {name of the setting: (states, len(after))}}.
     """
     starts = {name: start_of(description) for name, description in task["starts"].items()}
     rng, settings = np.random.default_rng(task["seed"]), settings_with(starts)
@@ -86,7 +93,7 @@ def errors_on_scene(task: Mapping) -> dict:
         solution = solve(state, REFERENCE, state.contacts.normal_impulse, state.contacts.tangent_impulse)
         impulses = {name: start(state, PGS()) for name, start in starts.items()}
         errors = errors_of(state, impulses, settings, task["after"], solution)
-        if np.isfinite(list(errors.values())).all():  # not finite where contacts have nothing to solve
+        if np.isfinite(list(errors.values())).all():  # errors are not finite if the contacts need no impulses
             solved["step"].append(state.step)
             for name, values in errors.items():
                 solved["errors"][name].append(values)
@@ -94,9 +101,10 @@ def errors_on_scene(task: Mapping) -> dict:
 
 
 def mean_errors(scenes: Sequence[Mapping], setting: str, where: str = "all") -> np.ndarray:
-    """Mean velocity errors of a setting, (scenes, numbers of sweeps).
+    """Return the mean velocity errors of a setting in each scene, (scenes, numbers of sweeps).
 
-    where: "all" states, or only those where Builtin is "off" by more than `OFF`; scenes without any are left out.
+    where: "all" takes all states. "off" takes those in which the error of Builtin's start is above `OFF`. Scenes
+    without such a state are left out.
     """
     means = []
     for scene in scenes:
@@ -108,25 +116,31 @@ def mean_errors(scenes: Sequence[Mapping], setting: str, where: str = "all") -> 
 
 
 def best_settings(scenes: Sequence[Mapping], starts: Sequence[str], where: str = "all") -> list[str]:
-    """For each number of sweeps the setting with the least mean error, among the settings of some starts."""
+    """Return the setting with the least mean error for each number of sweeps.
+
+    starts: names of the starts whose settings are compared. where: as for `mean_errors`.
+    """
     names = [name for name in settings_with(starts) if name in scenes[0]["errors"]]
     means = np.array([mean_errors(scenes, name, where).mean(axis=0) for name in names])
     return [names[i] for i in means.argmin(axis=0)]
 
 
 def best_errors(scenes: Sequence[Mapping], starts: Sequence[str], where: str = "all") -> np.ndarray:
-    """`mean_errors` of the best setting of some starts for each number of sweeps."""
+    """Return the `mean_errors` of the settings that `best_settings` chooses, (scenes, numbers of sweeps)."""
     names = best_settings(scenes, starts, where)
     return np.column_stack([mean_errors(scenes, name, where)[:, i] for i, name in enumerate(names)])
 
 
 def ratios_of(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Ratio of the means over scenes of two errors, (scenes, k), with its interval, (k, 3)."""
+    """Return the ratio of two errors' means over scenes, with its confidence interval, (k, 3).
+
+    one, other: errors, (scenes, k), for k numbers of sweeps.
+    """
     return interval(lambda drawn: one[drawn].mean(axis=1) / other[drawn].mean(axis=1), len(one)).T
 
 
 def ratios_to_best(scenes: Sequence[Mapping], where: str = "all") -> np.ndarray:
-    """`ratios_of` the network with its best solver to the best classical setting."""
+    """Return `ratios_of` the errors of the network with its best solver to those of the best classical setting."""
     return ratios_of(best_errors(scenes, [LEARNED], where), best_errors(scenes, CLASSICAL, where))
 
 
@@ -156,7 +170,10 @@ def table(data):
 
 
 def draw(data, options):
-    """Mean error by sweeps over the states where Builtin is off, with its interval over the scenes."""
+    """Draw the mean error against the number of sweeps, with its interval over scenes.
+
+    Only states count in which the error of Builtin's start is above `OFF`.
+    """
     figure, ax = plotting.subplots(size=(6.5, 4.2))
     scenes = data["scenes"]
     curves = {name: mean_errors(scenes, name, "off") for name in ("none", "builtin")}

@@ -1,12 +1,13 @@
-"""The data sets: simulations of the thesis's scene, every solved state kept; and packed piles without a past.
+"""Make the training data: simulations of the thesis's scene with all solved states, or packed piles without a past.
 
-data/README.md describes the files: <out>/sim_0000.h5, …, and with --xml every state as
+data/README.md describes the files, <out>/sim_0000.h5, …. With --xml, every state is also written as
 <out>/xml/sim_0000/sim_0000_<step>.xml. --quick makes four short simulations of few circles, in <out>/quick. --packings
-makes the data of the start `far field, no past`: each simulation is four states of a pile that settles, whose contacts
-start from the support. Five eighths of the piles have 50 to 3,000 circles, the others 600 to 6,000.
+makes the training data of the network "far field, no past". Each of its simulations has four states of a pile that
+settles, and the start of their contacts is `Support`. Five eighths of these piles have 50 to 3,000 circles, and the
+others 600 to 6,000.
 
-Simulation i depends on the seed and on i only: the same bits for any number of simulations or jobs. The script can be
-stopped at any moment and started again: finished simulations stay, unfinished ones leave nothing behind.
+Simulation i depends on the seed and on i only. So it has the same bits for any number of simulations or jobs. The
+script can be stopped at any moment and started again. Finished simulations stay, and unfinished ones leave no files.
 """
 
 from __future__ import annotations
@@ -33,27 +34,35 @@ from deep_contact.stepping import metrics
 from deep_contact.studies.piles import SETTLE, packing, without_past
 
 SOLVER = dc.PGS(sweeps=5000, tolerance=constants.THETA_TOLERANCE)
-"""Solver of the thesis's generator; states that need more sweeps are kept as they are."""
+"""Solver of the simulations. A state that needs more than 5,000 sweeps is stored with the impulses after these."""
 
 FULL = {"simulations": 150, "steps": 600, "bodies": (70, 110)}
 QUICK = {"simulations": 4, "steps": 200, "bodies": (20, 30)}
 PACKINGS = 640
+"""Default number of simulations with --packings."""
 
 SMALL = {"sizes": (50, 3000), "steps": (80, 80, 200, 300), "stream": 34}
 LARGE = {"sizes": (600, 6000), "steps": (80, 120, 300, 400), "stream": 35}
+"""Packings: range of the number of circles, time steps before each stored state, and number of the random stream."""
 SMALLEST = 0.5, 0.8, 0.95
-"""Least radii of packings, m; the largest is 1 m."""
+"""Smallest radii of packings, m, of which one is drawn. The largest radius is 1 m."""
 FRICTION = 0.1, 0.3, 0.5, 0.5, 0.5, 0.8, 1.0
+"""Friction coefficients μ of packings, of which one is drawn."""
 UNSOLVED = 1e-2
-"""Residual of a solution beyond which a state of a packing is left out, m/s."""
+"""Largest residual of the solution with which a state of a packing is stored, m/s."""
 
 SAMPLE_SEED = 2019
-"""Seed of the tracked sample, which no data set with the default seed contains."""
+"""Seed of the sample in the repository. Data sets with the default seed do not contain its simulations."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One simulation, as it is sent to a worker."""
+    """The description of one simulation, which is sent to a worker process.
+
+    number: number of the simulation. seed: seed of the data set. steps: number of time steps. bodies: smallest and
+    largest number of circles. out: folder of the data set. gzip: whether XML files are compressed. packing: whether the
+    simulation is a packing; steps and bodies are then unused.
+    """
 
     number: int
     seed: int
@@ -65,12 +74,12 @@ class Job:
 
     @property
     def path(self) -> Path:
-        """The simulation's file."""
+        """The path of the simulation's file."""
         return simulation_path(self.out, self.number)
 
     @property
     def header(self) -> dict:
-        """Fields of the file's header that determine the states; a packing's follow from its number."""
+        """The fields of the file's header that determine the states. A packing's states depend on its number only."""
         if self.packing:
             return {"seed": None, "options": {}}
         options = {"steps": self.steps, "bodies": list(self.bodies)}
@@ -78,13 +87,17 @@ class Job:
 
 
 def make_simulation(job: Job) -> None:
-    """Write the file of one simulation."""
+    """Run one simulation, and write its file."""
     states, sweeps, theta = (packed_states(job.number), None, None) if job.packing else simulate(job)
     simulation_h5.write_simulation(job.path, states, sweeps=sweeps, theta=theta, **job.header)
 
 
 def simulate(job: Job) -> tuple[list, list, list]:
-    """The solved states of the simulation that have contacts, and their sweeps and last θ."""
+    """Run a simulation of the thesis's scene.
+
+    Returns three lists: the solved states that have contacts, their numbers of sweeps, and θ after their last sweep,
+    N·s.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(job.seed, spawn_key=(job.number,)))
     n = int(rng.integers(*job.bodies, endpoint=True))
     scene = dc.circles_in_box(n, seed=rng).replace(name=f"sim_{job.number:04d}")
@@ -101,7 +114,11 @@ def simulate(job: Job) -> tuple[list, list, list]:
 
 
 def packed_states(number: int) -> Iterator[dc.State]:
-    """The states of a pile that settles, solved from their past, each with its support as the start."""
+    """Yield solved states of a packing that settles.
+
+    The solver begins with the impulses of the step before. In the states that are yielded, these are replaced by the
+    start `Support`, which the network learns to correct. number: number of the simulation.
+    """
     kind, k = (SMALL, number) if number < 400 else (LARGE, number - 400)
     rng = np.random.default_rng((kind["stream"], k))
     n = int(np.exp(rng.uniform(*np.log(kind["sizes"]))))
@@ -120,7 +137,7 @@ def packed_states(number: int) -> Iterator[dc.State]:
 
 
 def write_xml(job: Job) -> None:
-    """Write every state of the simulation's file as XML that is not there yet."""
+    """Write every state in the simulation's file as an XML file, unless this file exists already."""
     simulation, name = simulation_h5.read_simulation(job.path), job.path.stem
     for state in map(simulation.state, range(simulation.count)):
         path = Path(job.out) / "xml" / name / f"{name}_{state.step}.xml{'.gz' if job.gzip else ''}"
@@ -129,7 +146,7 @@ def write_xml(job: Job) -> None:
 
 
 def make_sample(out: Path) -> None:
-    """Two states of each phase of a full simulation as XML, and a short one of few circles as HDF5."""
+    """Write the sample: two states of each phase of a full simulation as XML, and a short small simulation as HDF5."""
     make_simulation(Job(0, SAMPLE_SEED, QUICK["steps"], QUICK["bodies"], str(out)))
     states, _, _ = simulate(Job(1, SAMPLE_SEED, FULL["steps"], FULL["bodies"], str(out)))
     for name in PHASES:
@@ -139,7 +156,7 @@ def make_sample(out: Path) -> None:
 
 
 def missing(jobs: list[Job]) -> list[Job]:
-    """The simulations that are not there yet. Raises DataFileError where one was made with other options."""
+    """Return the simulations whose files do not exist. Raises DataFileError if a file was made with other options."""
     for job in jobs:
         header = simulation_info(job.path).header if job.path.exists() else job.header
         for name, expected in job.header.items():
@@ -152,7 +169,7 @@ def missing(jobs: list[Job]) -> list[Job]:
 
 
 def positive(text: str, least: int = 1) -> int:
-    """The integer in an option's text, refused below `least`."""
+    """Return the integer in an option's text. Raises argparse.ArgumentTypeError if it is below `least`."""
     if int(text) < least:
         raise argparse.ArgumentTypeError(f"expected an integer >= {least}, got {text}")
     return int(text)
@@ -192,7 +209,10 @@ def parse(arguments=None) -> argparse.Namespace:
 
 
 def main(arguments=None, jobs: int | Executor | None = None) -> int:
-    """The command. jobs: an executor in place of --jobs, whose workers see the folder of --out."""
+    """Run the command line. Returns the exit status.
+
+    jobs: number of processes, or an executor whose workers have access to the folder of --out; None: the option --jobs.
+    """
     args = parse(arguments)
     if args.sample:
         make_sample(args.out)
@@ -212,7 +232,7 @@ def main(arguments=None, jobs: int | Executor | None = None) -> int:
         return INTERRUPTED
     except (OSError, RuntimeError, ValueError) as error:
         print(f"{args.out}: {error}", file=sys.stderr)
-        return BAD_FILE if isinstance(error, RuntimeError) else status_of(error)  # of HDF5, on a full disk
+        return BAD_FILE if isinstance(error, RuntimeError) else status_of(error)  # from HDF5, on a full disk
     states = sum(simulation_info(job.path).count for job in simulations)
     size = sum(job.path.stat().st_size for job in simulations)
     seconds = time.perf_counter() - begin

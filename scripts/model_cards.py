@@ -10,7 +10,7 @@ from pathlib import Path
 MODELS = Path(__file__).resolve().parent.parent / "models"
 
 NAMES = {"model": "model", "far_field": "far field", "far_field_no_past": "far field, no past"}
-"""File without .h5 -> name for `dc.load_model`, in the order of the page."""
+"""Name of a model file without .h5 -> name of the network for `dc.load_model`, in the order of models/README.md."""
 
 SOURCES = {
     "architecture": ("Table 5.1", "Appendix B"),
@@ -31,11 +31,11 @@ SOURCES = {
     ),
     "validation_states": ("ours: about so many of that fifth", "the same"),
 }
-"""Setting of the thesis's two recipes -> where its value is from, in the thesis and in its authors' code."""
+"""Setting in the recipes "thesis" and "authors' code" -> (source of its value in the first, source in the second)."""
 
 
 def recipes() -> list[tuple]:
-    """Setting, its value in the recipe "thesis", its source, its value in "authors' code", its source."""
+    """Return rows (setting, value in the recipe "thesis", its source, value in "authors' code", its source)."""
     from deep_contact.cnn.training.config import RECIPES
 
     flat = {name: {**settings, **settings["options"]} for name, settings in RECIPES.items() if "options" in settings}
@@ -46,7 +46,7 @@ def recipes() -> list[tuple]:
 
 
 def main(arguments=None) -> None:
-    """Write the page, by models/README.md.j2, and the registry."""
+    """Write the learning curves, models/README.md by its template models/README.md.j2, and registry.json."""
     argparse.ArgumentParser(description=__doc__).parse_args(arguments)
     import jinja2
 

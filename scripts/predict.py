@@ -1,11 +1,15 @@
 """python scripts/predict.py STATE.xml… [--model model] [--out predictions]: predict the impulses of states.
 
-For each state file: <out>/<name>.csv with the impulses at the contacts, predicted, from Builtin where the file has
-them, and solved where it has the solution; <out>/<name>.npy with the predicted image, of impulses or of the
-coefficients that correct a start; <out>/<name>.png with the impulses in the scene. The default model is "model", the
-thesis's network, for boxes of 30 m × 30 m; it needs Keras. "far field" takes any box: it corrects Builtin's impulses.
-"far field, no past" is for files without impulses: it corrects the start "support". Predictions are projected on the
-friction cone. The velocity errors of the solver after some sweeps from the predictions and from Builtin are printed.
+Three files are written for each state file. <out>/<name>.csv has the predicted impulses at the contacts, and, if the
+state file has them, the impulses of the step before (called Builtin) and the solved impulses. <out>/<name>.npy has the
+network's output image, of impulses or of the coefficients that correct a start. <out>/<name>.png shows the impulses in
+the scene.
+
+The default model is "model", our copy of the thesis's network. It takes boxes of 30 m × 30 m, and needs Keras. "far
+field" takes any box, and corrects the impulses of the step before. "far field, no past" is for files without such
+impulses, and corrects the start "support". Predictions are projected on the friction cone. If the file has the
+solution, the velocity errors after some sweeps of the solver are printed, from the prediction and from the uncorrected
+start.
 """
 
 from __future__ import annotations
@@ -27,7 +31,11 @@ from deep_contact.plot import plotting
 
 
 def contact_table(state, predicted, file) -> None:
-    """Write a CSV with a row for each contact: places, predicted impulses, Builtin's and solved ones if known."""
+    """Write a CSV with a row for each contact: its bodies, point, normal and impulses.
+
+    The impulses are the predicted ones and, if the state has them, those of the step before ("builtin") and the solved
+    ones. predicted: (λ_n, λ_t), (m,) each, N·s. file: open text file.
+    """
     c = state.contacts
     columns = dict(zip("body_a body_b x y n_x n_y".split(), [c.body_a, c.body_b, *c.position.T, *c.normal.T]))
     columns |= dict(zip(("predicted_n", "predicted_t"), predicted))
@@ -40,7 +48,7 @@ def contact_table(state, predicted, file) -> None:
 
 
 def picture(state, predicted):
-    """Draw the state with its predicted impulses and, if it has one, its solution."""
+    """Draw a state with its predicted impulses and, in a second panel, with its solved ones if it has them."""
     drawn = state.contacts._replace(normal_impulse=np.maximum(predicted[0], 0.0), tangent_impulse=predicted[1])
     shown = {"predicted": state.replace(contacts=drawn)} | ({"solved": state} if state.solved else {})
     largest = max(float(one.contacts.normal_impulse.max(initial=0.0)) for one in shown.values())
@@ -52,9 +60,10 @@ def picture(state, predicted):
 
 
 def report(state, predicted, builtin: str) -> list[str]:
-    """Lines on a state: the predicted impulses, and the errors after some sweeps from them and from its own start.
+    """Return lines of text on a state: the range of its predicted impulses, and errors of its velocities.
 
-    builtin: the name of that start.
+    The errors are those after some sweeps from the predicted impulses, and from the start that the state carries.
+    predicted: (λ_n, λ_t), (m,) each, N·s. builtin: name of the start that the state carries.
     """
     contacts = state.contacts
     lines = [f"{state.name}, step {state.step}: {state.bodies.count} circles, {contacts.count} contacts"]
@@ -68,7 +77,10 @@ def report(state, predicted, builtin: str) -> list[str]:
 
 
 def predict_file(path: Path, model, out: Path, *, pictures: bool = True) -> list[str]:
-    """Predict one state file, write the results, and return the lines to print."""
+    """Predict the impulses of the state in a file, write the results, and return the lines to print.
+
+    path: path of the state file. model: a `LearnedModel`. out: folder of the results. pictures: whether to draw.
+    """
     state = dc.read_state(path)
     if state.contacts is None:
         state = dc.find_contacts(state)
@@ -76,7 +88,7 @@ def predict_file(path: Path, model, out: Path, *, pictures: bool = True) -> list
         return [f"{path}: no contacts, nothing to predict"]
     seen, builtin, lines = state, "from the last step", []
     if isinstance(model, FarFieldModel) and not state.contacts.have_past:
-        # As `warm_start.FarFieldNoPast`, whose network has learned to correct this start.
+        # As in `warm_start.FarFieldNoPast`: a network for contacts without a past corrects the start `Support`.
         impulses = dict(zip(("normal_start", "tangent_start"), dc.warm_start.Support()(state, None)))
         seen, builtin = state.replace(contacts=state.contacts._replace(**impulses)), "from the support"
         lines = ["  no impulses of a step before: the network corrects the start support"]
@@ -93,7 +105,7 @@ def predict_file(path: Path, model, out: Path, *, pictures: bool = True) -> list
 
 
 def main(argv=None) -> int:
-    """Predict every file. A bad one is reported, and the others are still predicted."""
+    """Run the command line. Returns the exit status. The error of a faulty file does not stop the other predictions."""
     about = (__doc__ or "").partition(": ")[2]
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument

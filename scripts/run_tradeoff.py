@@ -1,10 +1,11 @@
-"""python scripts/run_tradeoff.py: the study of speed against accuracy in runs, of settings and of other engines.
+"""python scripts/run_tradeoff.py: the study of errors against times in runs, for our settings and other engines.
 
-A list of scenes and settings, which `studies.runs` runs, times and judges. Every finished part is stored in the work
-folder, so an interrupted study of one commit goes on where it stopped. Several processes compute errors; then one
-measures times: `--set timed=false` leaves these out, for a machine that is not quiet. `--install` alone judges the
-stored settings by known answers and makes their numbers those that `dc.simulate` and `dc.recommend` read. Figures 6.1
-and 6.2 draw them.
+This script has lists of scenes and settings. `studies.runs` simulates them, and measures errors and times. The results
+of finished runs are stored in the work folder, so that an interrupted study of one commit can be resumed. First,
+several processes compute the errors. Then one process measures the times, on a machine that runs nothing else;
+`--set timed=false` leaves the times out. `--install` alone measures the errors of the stored settings in motions with a
+known result, and writes the table of settings that `dc.simulate` and `dc.recommend` read. Figures 6.1 and 6.2 draw the
+results.
 """
 
 from __future__ import annotations
@@ -28,16 +29,17 @@ from deep_contact.studies import runs
 from deep_contact.studies.known import G, end, scene_of
 
 DENSE_KINDS = [kind for kind in runs.KINDS if "1 : " in kind or kind == "dam break"]
-"""Kinds that need more sweeps: two densities, and a dam that breaks."""
+"""Kinds of scenes that need more sweeps: circles of two densities, and the dam break."""
 
 WALLED_KINDS = ["terrain", "hopper", "piston"]
-"""Kinds with segments, still ones and one that moves."""
+"""Kinds of scenes with segments, which are at rest in the first two and moving in the third."""
 
 
 def settings(budgets: dict, **options) -> list[dict]:
-    """A setting with these options for each number of sweeps. budgets: substeps of 0.01 s -> numbers of sweeps.
+    """Return a list of settings, one for each number of sub-steps and number of sweeps.
 
-    Substeps that follow the motion are given as (fewest, most, slop).
+    budgets: number of sub-steps in 0.01 s -> numbers of sweeps. If the number of sub-steps depends on the motion, it is
+    (least number, largest number, slop). options: further entries of each setting.
     """
     listed = []
     for substeps, sweeps in budgets.items():
@@ -63,7 +65,11 @@ SMALL = [
     *settings({(1, 8, 0.25): (6,), QUARTER: (3, 5)}, **COLOURS),
     *settings({1: (6,), HALF: (3, 5), QUARTER: (5,)}, **COLOURS, **FEW),
 ]
-"""Settings of most kinds of scenes: fixed steps for the loose presets, by motion for the tight ones."""
+"""Settings for most kinds of scenes.
+
+Those with fixed numbers of sub-steps are for presets with large tolerances. Those with numbers of sub-steps that depend
+on the motion are for presets with small tolerances.
+"""
 
 LARGE = [
     *settings({QUARTER: (4,)}, **PGS),
@@ -72,7 +78,7 @@ LARGE = [
     *settings({1: (6, 10), 2: (5, 10), 4: (3, 5), (1, 8, 0.5): (6, 10)}, **COLOURS, **FEW),
     *settings({HALF: (5, 10), QUARTER: (5, 10)}, **COLOURS, **FEW),
 ]
-"""Settings of most kinds of scenes from 3,000 circles on."""
+"""Settings for most kinds of scenes with 3,000 circles."""
 
 DENSE = [
     *SMALL,
@@ -84,27 +90,27 @@ DENSE = [
     *settings({HALF: (10, 20, 40), QUARTER: (10, 20, 40)}, **COLOURS, **FEW),
     *settings({HALF: (20,), QUARTER: (20, 40), (8, 32, 0.25): (10,)}, **COLOURS, **NEAR),
 ]
-"""Settings for `DENSE_KINDS`: more sweeps in more substeps."""
+"""Settings for `DENSE_KINDS`, with more sweeps in more sub-steps."""
 
 DENSE_LARGE = [
     *settings({1: (10, 20), 2: (10, 20), 4: (10, 20), 8: (10, 20, 40)}, **COLOURS, **FEW),
     *settings({HALF: (10, 20), QUARTER: (5, 10, 20, 40), (8, 32, 0.25): (20,)}, **COLOURS, **FEW),
     *settings({HALF: (20,), QUARTER: (20, 40), (8, 32, 0.25): (10, 40)}, **COLOURS, **NEAR),
 ]
-"""Settings for `DENSE_KINDS` from 3,000 circles on."""
+"""Settings for `DENSE_KINDS` with 3,000 circles."""
 
 LARGEST = [
     *settings({2: (5, 10), 4: (5,), HALF: (10,), QUARTER: (5, 10)}, **COLOURS, **FEW),
     *settings({QUARTER: (10,)}, **COLOURS),
     *settings({(1, 16, 0.25): (20,)}, **COLOURS, **NEAR),
 ]
-"""Settings with 10,000 circles: those of `LARGE` that keep a preset most cheaply with 3,000, or nearly."""
+"""Settings for 10,000 circles: those of `LARGE` that took the least time for a preset with 3,000 circles, or nearly."""
 
 DENSE_LARGEST = [
     *settings({2: (20,), 4: (10, 20), 8: (20,), QUARTER: (10, 20)}, **COLOURS, **FEW),
     *settings({QUARTER: (20,), (8, 32, 0.25): (10, 40)}, **COLOURS, **NEAR),
 ]
-"""Settings for `DENSE_KINDS` with 10,000 circles: the same choice from `DENSE_LARGE`."""
+"""Settings for `DENSE_KINDS` with 10,000 circles, chosen from `DENSE_LARGE` as `LARGEST` is from `LARGE`."""
 
 LADDER = [
     *settings({1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}, **PGS),
@@ -113,7 +119,7 @@ LADDER = [
     *settings({1: (10, 20)}, method="PSOR", omega=1.75, friction_omega=1.45),
     *(one for method in ("NNCG", "NesterovPGS") for one in settings({1: (10, 20)}, method=method)),
 ]
-"""Settings on plain piles alone: what sweeps, steps and methods do to an error (Figures 6.1 and 6.2)."""
+"""Settings for plain piles only, which show the effect of sweeps, time steps and methods (Figures 6.1 and 6.2)."""
 
 LARGE_LADDER = settings({1: (4, 10, 20), 2: (2, 5, 10, 20), 4: (2, 3, 5, 10), 8: (2, 4, 20), 32: (20,)}, **PGS)
 LARGEST_LADDER = [
@@ -121,7 +127,10 @@ LARGEST_LADDER = [
     *settings({1: (10,)}, **COLOURS, **FEW),
     *settings({2: (10,), 4: (5,)}, **COLOURS),
 ]
-"""Settings on plain piles of 10,000 circles: a comparison for smaller steps, and what kept a preset in old studies."""
+"""Settings for plain piles of 10,000 circles, to compare small time steps.
+
+Some are here because they kept a preset in earlier studies.
+"""
 
 PYMUNK, BOX2D, BOX2D_V3 = {"engine": "pymunk"}, {"engine": "Box2D 2.3"}, {"engine": "Box2D v3"}
 BY_SLOP = {1: (4, 6, 10, 20, 30), 2: (2, 3, 4, 6, 10), 4: (1, 2, 3, 4), 8: (1, 2)}
@@ -137,7 +146,10 @@ PEERS = [
     *settings(BY_STIFFNESS, **BOX2D_V3),
     *(one for hertz in (60.0, 120.0) for one in settings(BY_STIFFNESS, **BOX2D_V3, hertz=hertz)),
 ]
-"""Settings of other engines by iterations, Δt and their own knobs: slop and bias, position iterations, stiffness."""
+"""Settings of other engines, with several numbers of iterations and time steps.
+
+Options of one engine vary as well: slop and bias of pymunk, position iterations of Box2D 2.3, stiffness of Box2D v3.
+"""
 
 LARGE_PEERS = [
     *settings({1: (4, 6, 10, 20), 2: (4, 6, 10), 4: (2, 4), 8: (2,)}, **PYMUNK, slop=0.25),
@@ -151,7 +163,10 @@ LARGE_PEERS = [
     *settings({1: (6, 8), 2: (2, 4), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
     *settings({2: (8,), 4: (4,)}, **BOX2D_V3, hertz=240.0),
 ]
-"""Settings with 3,000 circles: those of `PEERS` that kept a preset at 1,000 most cheaply, or nearly, and neighbours."""
+"""Settings of other engines for 3,000 circles.
+
+They are those of `PEERS` that took the least time for a preset with 1,000 circles, or nearly, and similar settings.
+"""
 
 LARGEST_PEERS = [
     *settings({1: (4, 6, 10, 20), 2: (4, 6, 10), 4: (2, 4)}, **PYMUNK, slop=0.25),
@@ -161,7 +176,11 @@ LARGEST_PEERS = [
     *settings({2: (4,), 4: (4,)}, **BOX2D, position_sweeps=3),
     *(one for one in LARGE_PEERS if one["engine"] == "Box2D v3"),
 ]
-"""Settings with 10,000 circles: all of `LARGE_PEERS` for the fastest rival, for others the cheapest with 3,000."""
+"""Settings of other engines for 10,000 circles.
+
+For the fastest of these engines, Box2D v3, they are all of `LARGE_PEERS`. For the others, they are those that took the
+least time with 3,000 circles.
+"""
 
 MORE = {
     "no friction": {"100": settings({4: (3,), 8: (2,)}, **PGS), "1000": settings({4: (3,), 8: (2, 3)}, **PGS)}
@@ -170,7 +189,10 @@ MORE = {
     "heavy on light 1 : 10": {"10000": settings({4: (30,)}, **COLOURS, **FEW)},
     "heavy on light 1 : 100": {"10000": settings({8: (40,), 16: (20,), 32: (20,)}, **COLOURS, **FEW)},
 }
-"""Further settings of a kind, by size: without them no setting kept one of its presets, or only at a high price."""
+"""Kind of scene -> number of circles -> further settings.
+
+Without these, no setting kept the tolerances of some preset, or only one that takes much time.
+"""
 
 LISTS = {
     "settings": {"100": SMALL, "300": SMALL, "1000": SMALL, "3000": LARGE, "10000": LARGEST},
@@ -179,29 +201,37 @@ LISTS = {
     "ladder": {"100": LADDER, "300": LARGE_LADDER, "1000": LADDER, "3000": LARGE_LADDER} | {"10000": LARGEST_LADDER},
     "peers": {"100": PEERS, "300": [], "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGEST_PEERS},
 }
-"""Settings by number of circles: of most kinds, of `DENSE_KINDS`, of `WALLED_KINDS`; two lists of plain piles alone."""
+"""Name of a list -> number of circles -> settings.
+
+"settings" is for most kinds of scenes, "dense" for `DENSE_KINDS` and "walled" for `WALLED_KINDS`. "ladder" and "peers"
+are for plain piles only.
+"""
 
 
-# ---- motions with known answers ----
+# ---- motions with a known result ----
 #
-# An over-relaxed solver with few sweeps can be good at piles and wrong in the simplest impact: a sweep with ω leaves
-# 1 − ω of a lone contact's error. A study of piles does not show this error.
+# An over-relaxed solver with few sweeps can be accurate in piles and inaccurate in the simplest impact. A sweep with ω
+# leaves 1 − ω of the error of a contact that has no neighbours. A study of piles does not show this error.
 
 
 def error(setting: Mapping) -> float:
-    """The largest error of a setting among `motions`, % of their speeds. setting: as `solver_of` reads it."""
+    """Return the largest error of a setting in the `motions`, as a percentage of their speeds."""
     return 100.0 * max(wrong(end(setting, scene, seconds).bodies) for scene, seconds, wrong in motions())
 
 
 def motions() -> Iterator[tuple[State, float, Callable[[Bodies], float]]]:
-    """Yields (scene, duration, s, function from the bodies at the end to their error, as a share of the scene's speed).
+    """Yield motions with a known result: (scene, duration, s, function from the final bodies to their error).
 
-    A disc of 1 m hits the floor at 6 m/s: k_t = m / 3, so it sticks where μ (1 + e) v_n ≥ v_t / 3, and otherwise slides
-    on (Coulomb's law). Two discs meet (Newton's law). A disc slides until it rolls (Coriolis 1835), rolls or slides
-    down a slope.
+    The error is a share of the scene's speed. These are the motions:
+
+    * A disc with a radius of 1 m hits the floor at 6 m/s. k_t = m / 3, so it sticks if μ (1 + e) v_n ≥ v_t / 3, and
+      slides on otherwise (Coulomb's law).
+    * Two discs collide (Newton's law).
+    * A disc slides until it rolls (Coriolis 1835).
+    * A disc rolls down a slope, and another one slides down a slope.
     """
     for friction, restitution in ((5.0, 0.0), (0.1, 0.0), (0.1, 0.5)):
-        tangent = min(friction * (1.0 + restitution) * 6.0, 3.0 / 3.0)  # λ_t / m, m/s
+        tangent = min(friction * (1.0 + restitution) * 6.0, 3.0 / 3.0)  # tangent impulse over mass, λ_t / m, m/s
         after = 3.0 - tangent, 6.0 * restitution, -2.0 * tangent
         material = {"friction": friction, "restitution": restitution}
         disc = scene_of([[10.0, 2.0]], gravity=0.0, **material, velocity=[3.0, -6.0])
@@ -224,7 +254,10 @@ def _off(values, right) -> float:
 
 
 def wanted(options: Mapping) -> dict[tuple[str, int, str], tuple[dict, int]]:
-    """(Kind, n_bodies, name) -> (setting, number of seeds). Of settings with one name the first has most seeds."""
+    """Return the cases of the study: (kind, n_bodies, name of the setting) -> (setting, number of seeds).
+
+    If several lists have a setting with the same name, the first one is taken. It has the most seeds.
+    """
     cases_by_name = {}
     for n, kinds in options["seeds"].items():
         for kind, count in kinds.items():
@@ -239,7 +272,7 @@ def wanted(options: Mapping) -> dict[tuple[str, int, str], tuple[dict, int]]:
 
 
 def compute(options, seed, jobs, progress):
-    """Rows of all scenes and settings, and the settings that the presets take."""
+    """Measure all scenes and settings, and choose the settings of the presets."""
     common = {"work": Path(options["work"]), "seconds": options["seconds"], "seed": seed}
     rows = runs.observed_rows(runs.scene, wanted(options), **common, jobs=jobs)
     times = {key: times_of(row, options["processes"]) for key, row in rows.items() if options["timed"]}
@@ -247,19 +280,26 @@ def compute(options, seed, jobs, progress):
 
 
 def times_of(row: Mapping, processes: int) -> int:
-    """How often the time of a row is measured: in several processes where ratios to rivals may rest on it."""
+    """Return how many times the computing time of a row is measured, each time in a new process.
+
+    It is `processes` for plain piles with errors that may be within a preset's tolerances, because the ratio of our
+    time to that of another engine may depend on this row.
+    """
     if not row["errors"]:
         return 0
     if row["kind"] != "plain":
         return 1
     if row["setting"]["dt"] < TIME_STEP / 8:
-        return 0  # the smallest steps are there for Figure 6.2 alone
+        return 0  # only Figure 6.2 uses the smallest time steps, and it draws no times
     least = {name: error[1] for name, error in row["errors"].items() if error}
     return processes if any(excess(least, most) <= 1 for most in PRESETS.values()) else 1
 
 
 def judged(rows: list[dict]) -> dict:
-    """The rows, with the errors of our settings where the answer is known, and the settings that the presets take."""
+    """Return the data of the study: the rows, to which "known" is added, and the settings of the presets.
+
+    "known" is the `error` of a setting of this package in motions with a known result, %.
+    """
     ours = {row["name"]: row["setting"] for row in rows if "engine" not in row["setting"]}
     known = {name: runs.rounded(error(setting)) for name, setting in ours.items()}
     rows = [row | ({"known": known[row["name"]]} if row["name"] in known else {}) for row in rows]
@@ -267,7 +307,10 @@ def judged(rows: list[dict]) -> dict:
 
 
 def table(data):
-    """The setting of each preset on plain piles, its time, and that of the fastest other engine over it."""
+    """Return the rows of the table: for each preset the setting for plain piles, its time, and the ratio of times.
+
+    The ratio is the time of the fastest other engine over that of this package.
+    """
     rows = [["circles", "preset", "setting", "µs", "fastest rival / ours"]]
     for row in data["presets"]:
         ours = row["kinds"].get("plain") or {"name": None, "us": None}
@@ -276,7 +319,10 @@ def table(data):
 
 
 def installed(data: Mapping, cpu: str) -> dict:
-    """The table that the presets read: settings with errors and times by size and kind of scene."""
+    """Return the table that the presets read: settings with errors and times by number of circles and kind of scene.
+
+    cpu: name of the processor on which the times were measured.
+    """
     settings: dict = {}
     for row in data["rows"]:
         if "engine" in row["setting"] or row["us"] is None or not row["errors"]:
@@ -295,7 +341,10 @@ def installed(data: Mapping, cpu: str) -> dict:
 
 
 def claims(data: Mapping) -> Iterator[Claim]:
-    """Whether presets are kept, and what the fastest rival pays for them."""
+    """Yield two claims for each number of circles.
+
+    They say whether settings keep the presets, and how long the fastest other engine takes for them.
+    """
     for n in runs.sizes_of(data["presets"]):
         mine = {row["preset"]: row for row in data["presets"] if row["n_bodies"] == n}
         missing = {preset: [kind for kind, ours in row["kinds"].items() if not ours] for preset, row in mine.items()}
@@ -309,13 +358,13 @@ def claims(data: Mapping) -> Iterator[Claim]:
 
 
 MANY = ("plain", "piston")
-"""Kinds with more seeds than others."""
+"""Kinds of scenes with more seeds than others."""
 
 FEWER = (*DENSE_KINDS, *WALLED_KINDS)
-"""Kinds with fewer seeds than others."""
+"""Kinds of scenes with fewer seeds than others."""
 
 DEAR = ("gas", "drum", *WALLED_KINDS)
-"""Kinds that are not run with 10,000 circles: they take what was measured with 3,000."""
+"""Kinds of scenes that are not run with 10,000 circles. The presets take what was measured with 3,000 circles."""
 
 FULL = {
     "seeds": {"100": {kind: 12 if kind in MANY else 8 for kind in runs.KINDS}, "1000": dict.fromkeys(runs.KINDS, 6)}
@@ -334,7 +383,7 @@ FIGURE = Figure("B.3", "Speed for accuracy in runs: errors and times of settings
 
 
 def install() -> None:
-    """Judge the settings of data/reference by known answers once more, and make its numbers those of the presets."""
+    """Measure the errors of the settings in data/reference in `motions` again, and write the table of the presets."""
     stored = results.reference("run_tradeoff")
     data = stored["data"] | judged(stored["data"]["rows"])
     stored |= {"claims": list(claims(data)), "data": data}

@@ -1,8 +1,9 @@
-"""python scripts/run_tradeoff_verify.py: whether presets, and trades, keep their word on scenes outside the study.
+"""python scripts/run_tradeoff_verify.py: a test whether presets keep their tolerances in scenes outside the study.
 
-Each preset runs scenes of other kinds, sizes and seeds beside a reference, by the driver of the study (`studies.runs`).
-For some kinds `measure_trade` chooses too, from seeds of its own. Finished parts are kept in the work folder, so that a
-run of the same commit goes on where it stopped. Times want a machine that does nothing else.
+The setting of each preset is run in scenes of other kinds, sizes and seeds, and compared with a reference, by
+`studies.runs`. For some kinds of scenes, settings that `measure_trade` chooses are tested as well. It chooses with
+other seeds. The results of finished runs are stored in the work folder, so that a run of the same commit can be
+resumed. Times have to be measured on a machine that runs nothing else.
 """
 
 import warnings
@@ -25,7 +26,7 @@ from deep_contact.studies import piles, runs
 
 
 def belt(n_bodies, *, seed):
-    """A lattice above a belt that drags at 3 m/s."""
+    """Return a lattice of circles above a conveyor belt whose surface moves at 3 m/s."""
     scene = lattice_in_box(n_bodies, seed=seed)
     x_min, y_min, x_max, y_max = scene.world.box
     box, line = (x_min, y_min, x_max + 40.0, y_max + 2.0), (x_min, 1.0, x_max, 1.0)
@@ -34,7 +35,7 @@ def belt(n_bodies, *, seed):
 
 
 def heavy_drum(n_bodies, *, seed):
-    """A drum with e = 0.5 in which three of ten circles are ten times as dense."""
+    """Return a drum with e = 0.5 in which about 30 % of the circles have ten times the density of the others."""
     scene = drum(n_bodies, restitution=0.5, seed=seed)
     mass = np.where(np.random.default_rng(seed).random(n_bodies) < 0.3, 10.0, 1.0) * scene.bodies.mass
     return scene.replace(bodies=scene.bodies._replace(mass=mass))
@@ -63,27 +64,30 @@ KINDS = {
     "heavy on light 1 : 5": {"make": runs.two_densities, "ratio": 5.0, "heavy": "above"},
     "light on heavy 1 : 30": {"make": runs.two_densities, "ratio": 30.0, "heavy": "below"},
 }
-"""Kind of scene -> arguments of `piles.scene`, or of the function `make`."""
+"""Kind of scene -> arguments of the function that makes it. The function is the entry "make", or else `piles.scene`."""
 
 TIME_STEPS = {"slippery": 0.025, "loose": 0.005}
-"""Kind -> its Δt, s, where it is not the study's."""
+"""Kind of scene -> its Δt, s, for the kinds whose Δt is not that of the study."""
 
 
 def scene(kind, n_bodies, seed):
-    """The scene of a kind."""
+    """Return a scene. kind: one of `KINDS`."""
     options = dict(KINDS[kind])
     made = options.pop("make", piles.scene)(n_bodies, seed=seed, **options)
     return made.replace(dt=TIME_STEPS.get(kind, made.dt))
 
 
 def chosen_by_presets(start):
-    """Preset -> (its setting for a scene, its predicted cost of a step, μs)."""
+    """Return the settings of the presets for a scene: preset -> (setting, predicted computing time of a step, μs)."""
     taken = {preset: presets.decide(start, preset) for preset in PRESETS}
     return {preset: (setting_of(one.solver, start.dt, one.start), one.us) for preset, one in taken.items()}
 
 
 def chosen_by_trade(kind, n, options, seed, jobs):
-    """Preset -> (setting, predicted cost of a step, μs) that `measure_trade` chooses on seeds of its own."""
+    """Return the settings that `measure_trade` chooses: preset -> (setting, predicted computing time of a step, μs).
+
+    kind, n: kind of scene and number of circles. options: those of the figure.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", presets.PresetWarning)
         steps = round(options["seconds"] / scene(kind, n, seed).dt)
@@ -95,7 +99,11 @@ def chosen_by_trade(kind, n, options, seed, jobs):
 
 
 def compute(options, seed, jobs, progress):
-    """A row for each kind, size and preset, what the presets cost, and the rows of trades."""
+    """Measure the chosen settings. Returns "rows" of the presets and "trades" of `measure_trade`, and "times".
+
+    "rows" and "trades" have a row for each kind of scene, number of circles and preset. "times" are the rows of the
+    presets whose computing time was measured.
+    """
     cases, chosen, times, common = {}, [], {}, {"work": Path(options["work"]), "seconds": options["seconds"]}
     places = [(kind, int(n)) for n, kinds in options["scenes"].items() for kind in kinds]
     for kind, n in progress(places, text="settings"):
@@ -124,14 +132,18 @@ def compute(options, seed, jobs, progress):
 
 
 def judged(errors, preset):
-    """The errors, and which tolerances are "kept", or exceeded by no more than the interval: "within"."""
+    """Return {"errors": the errors, "kept": name of an error -> flag, "within": name of an error -> flag}.
+
+    "kept" tells whether the error is within the preset's tolerance. "within" tells whether the lower bound of the
+    error's confidence interval is. errors: name -> [error, lower bound, upper bound], or None.
+    """
     known = {name: (errors[name], most) for name, most in PRESETS[preset].items() if errors.get(name)}
     kept, within = ({name: bool(of[end] <= most) for name, (of, most) in known.items()} for end in (0, 1))
     return {"errors": errors, "kept": kept, "within": within}
 
 
 def claims(data):
-    """How many cells of presets and of trades keep all tolerances, and whether costs are as predicted."""
+    """Yield claims: on the share of rows that keep all tolerances of their preset, and on the predicted times."""
     for by, text in (("rows", ""), ("trades", ", chosen by a trade,")):
         for preset in PRESETS:
             if cells := [row for row in data[by] if row["preset"] == preset]:
@@ -146,7 +158,7 @@ def claims(data):
 
 
 def table(data):
-    """Cells of presets that keep all tolerances, and the worst of those that do not, over its tolerance."""
+    """Return the rows of the table: all cases that miss a tolerance, with the largest ratio of error to tolerance."""
     rows = [["scene", "circles", "by", "preset", "worst error", "over its tolerance", "beyond the interval"]]
     for by, name in (("rows", "preset"), ("trades", "trade")):
         for row in data[by]:
@@ -160,7 +172,10 @@ def table(data):
 
 
 MEDIUM = [kind for kind in KINDS if kind != "silo"]
-"""Kinds with 300 and 1,000 circles. Higher silos are solved to a tolerance, which takes hours."""
+"""Kinds of scenes with 300 and 1,000 circles.
+
+The silo is left out. The solver of a high silo runs until a tolerance is reached, which takes hours.
+"""
 
 LARGE = ["plain", "narrow radii", "hopper", "terrain", "piston", "low dam", "densities 1 : 5", "heavy on light 1 : 5"]
 OPTIONS = {

@@ -1,25 +1,28 @@
-"""python scripts/table_5_1_layers.py: layers and shapes of the built thesis network beside the thesis's table."""
+"""python scripts/table_5_1_layers.py: layers and shapes of our copy of the thesis's network, and of its Table 5.1."""
 
 from deep_contact import figures
 from deep_contact.figures import Claim, Figure
 from deep_contact.studies import chapter_5
 
 MISPRINTS = {f"{kind}: printed, built" for kind in ("Input", "BatchNormalization")}
-"""Layers that the thesis's table gives wrongly: 4 channels for 5, and 4 × 4 × 512 for 4 × 4 × 256."""
+"""Names of the layers with a wrong shape in the thesis's table.
+
+It has 4 channels instead of 5, and 4 × 4 × 512 instead of 4 × 4 × 256.
+"""
 
 
 PRINTED_LAYERS = chapter_5.PRINTED["layers"]
-"""Table 5.1 as the thesis prints it, misprints included: (layer, output shape without the batch)."""
+"""Table 5.1 as the thesis prints it, with its misprints: (name of the layer, output shape without the batch)."""
 
 
 def compute(options, seed, jobs, progress):
-    """Both tables, layer by layer."""
+    """Collect the layers of the built network and those of the thesis's table."""
     printed = [{"kind": kind, "shape": list(shape)} for kind, shape in PRINTED_LAYERS]
     return {"built": chapter_5.thesis_layers(), "printed": printed}
 
 
 def equal(theirs, mine):
-    """Whether a printed layer is the built one."""
+    """Return whether a printed layer has the kind and the shape of the built one. theirs: printed. mine: built."""
     return (theirs["kind"], theirs["shape"]) == (mine["kind"], mine["shape"])
 
 
@@ -38,7 +41,7 @@ def claims(data):
 
 
 def text(layer):
-    """The shape of a layer as a text, "61 × 61 × 5"."""
+    """Return the shape of a layer as a text, such as "61 × 61 × 5"."""
     return " × ".join(map(str, layer["shape"]))
 
 

@@ -1,7 +1,8 @@
 """python scripts/table_5_2_hyperparameters.py: settings of the training: printed, authors' code, recipe, shipped file.
 
-The authors' code is cnn_training.py and visual_deep_learning/cnn_model.py of github.com/JaggerWu/Deep-Contact, and
-Appendix B for the sizes of the kernels. Its SGD also has decay=1e-6, which lowers the rates by 8 % in 1,000 epochs.
+The settings of the authors' code are from cnn_training.py and visual_deep_learning/cnn_model.py of
+github.com/JaggerWu/Deep-Contact. The sizes of the kernels are from Appendix B. The SGD of this code also has
+decay=1e-6, which lowers the learning rates by 8 % in 1,000 epochs.
 """
 
 import shlex
@@ -13,15 +14,20 @@ from deep_contact.figures import Claim, Figure
 from deep_contact.studies import chapter_5
 
 PRINTED, CODE = chapter_5.PRINTED["hyperparameters"], chapter_5.PRINTED["authors' code"]
-"""Table 5.2 as the thesis prints it, with the rates of Algorithm 6; and the settings of its authors' code. The thesis's
-"1 × 5 × 10⁻³" is 0.005."""
+"""Table 5.2 as the thesis prints it, with the learning rates of Algorithm 6, and the settings of its authors' code.
+
+The thesis's "1 × 5 × 10⁻³" is 0.005.
+"""
 
 SPELLING = {"relu": "ReLU", "HeNormal": "He normal"}
 """Name in Keras -> name in the thesis."""
 
 
 def settings_of(network, config, rates: Sequence[float]) -> dict[str, str]:
-    """The lines of Table 5.2 of a training: its `keras.Model`, its `TrainingConfig`, and the rate of each epoch."""
+    """Return the hyperparameters of a training: name in Table 5.2 -> value as a text.
+
+    network: a `keras.Model`. config: its `TrainingConfig`. rates: learning rate of each epoch.
+    """
     from deep_contact.cnn.training.network import optimizer_of
 
     layers, optimizer = {}, optimizer_of(config)
@@ -56,13 +62,13 @@ def settings_of(network, config, rates: Sequence[float]) -> dict[str, str]:
 
 
 def recipe_of(command: str) -> str | None:
-    """The recipe that a card's command names; None where the card is older than recipes."""
+    """Return the recipe that the command on a model card names, or None if it names none."""
     words = shlex.split(command)
     return words[words.index("--recipe") + 1] if "--recipe" in words else None
 
 
 def compute(options, seed, jobs, progress):
-    """The columns, by the name of the setting."""
+    """Collect the columns of the table, each a dict: name of the hyperparameter -> value."""
     one_thread()
     from deep_contact.cnn import architectures, schedules
     from deep_contact.cnn.model_file import read_metadata
@@ -78,7 +84,7 @@ def compute(options, seed, jobs, progress):
         run = settings_of(network, config, [rate(epoch) for epoch in range(config.epochs)])
     rates = [epoch["rate"] for epoch in card["history"]]
     shipped = settings_of(chapter_5.image_network(options["model"]).network, config_of(metadata), rates)
-    # A model file keeps weights, and no initializers.
+    # A model file has no initializers.
     shipped["Weight initialization"] = None
     return {"printed": PRINTED, "authors' code": CODE, "recipe": name, "run": run, "shipped": shipped}
 

@@ -1,8 +1,9 @@
 """python scripts/table_6_1_maps.py: one network for both maps of impulses, or one for each.
 
-Goals 7 to 9 of the thesis, which it left to an argument (section 6.1). The networks are the thesis's, narrower, with a
-factored last layer, and on images with half as many nodes a side. All see the same states; each is trained from three
-random beginnings, by Adam, whose steps do not depend on the scale of a loss, and on the thesis's loss (Appendix B).
+These are goals 7 to 9 of the thesis, which it answers by an argument only (section 6.1). The networks are the thesis's
+with fewer filters, a factored last layer, and images with half as many nodes along an edge. All are trained on the same
+states with the thesis's loss (Appendix B). Each is trained three times, with different random initial weights. The
+optimizer is Adam, whose steps do not depend on the scale of a loss.
 """
 
 import tempfile
@@ -24,18 +25,19 @@ from deep_contact.studies.verdicts import FEWEST
 
 ONE, LARGE, EACH = "one for both", "one for both, as large as two", "one each"
 MAPS = {ONE: [(0, 1)], LARGE: [(0, 1)], EACH: [(0,), (1,)]}
-"""Variant -> the maps of each of its networks: λ_n is 0, λ_t is 1."""
+"""Variant -> the maps that each of its networks predicts. Map 0 is λ_n, and map 1 is λ_t."""
 
 KERNELS = (3, 3), (3, 3, 2), (2, 2, 2), (2, 2, 2), (2, 2, 2)
-"""Sides of the kernels of the thesis's stacks, each of which has twice the filters of the one before."""
+"""Sides of the kernels in the thesis's stacks. Each stack has twice the filters of the stack before."""
 
 SWEEPS = 3, 10
+"""Numbers of sweeps after which velocity errors are measured."""
 ALIKE = 0.9, 1.1
-"""Range of the ratio of two errors that are equal."""
+"""Range of the ratio of two errors in which the errors count as equal."""
 
 
 def compute(options, seed, jobs, progress):
-    """Make states, train every variant from every beginning, and measure the errors on scenes held out."""
+    """Make states, train every variant with all its initial weights, and measure the errors on held-out scenes."""
     simulate, count = partial(states_of, options=options), options["simulations"] + options["scenes"]
     every = parallel_map(simulate, seeds(seed, count), jobs=jobs, progress=progress, text="scenes")
     train, test = every[: options["simulations"]], every[options["simulations"] :]
@@ -56,14 +58,15 @@ def compute(options, seed, jobs, progress):
 
 
 def states_of(seed, options):
-    """Solved states of a run of the thesis's scene."""
+    """Return solved states of a run of the thesis's scene."""
     return starts.solved_states(starts.scene_of(options, seed), steps=options["steps"], every=options["every"])
 
 
 def trained_maps(task, folder, options):
-    """Train a variant's networks.
+    """Train the networks of a variant.
 
-    Returns the number of their parameters, and both maps of the states held out, (n, n_y, n_x, 2).
+    task: (variant, seed of the initial weights). folder: folder with the images of the states. Returns the number of
+    the networks' parameters, and the predicted maps of the held-out states, (n, n_y, n_x, 2), N·s.
     """
     one_thread()
     from deep_contact.cnn.architectures import build
@@ -87,7 +90,11 @@ def trained_maps(task, folder, options):
 
 
 def errors_of(scenes, images, spec):
-    """Errors on each scene: of both maps, where the solution's map has a value, and of velocities after `SWEEPS`."""
+    """Return the relative errors of predicted maps: name in `MEASURES` -> list with an error for each scene.
+
+    The errors of the maps count only nodes at which the solution's map is not 0. scenes: list of the states of each
+    scene. images: predicted maps of all states, (n, n_y, n_x, 2), N·s. spec: definition of the images.
+    """
     images, found = iter(images), []
     for states in scenes:
         ours, true = [next(images) for _ in states], [label_image(state, spec) for state in states]
@@ -104,7 +111,7 @@ MEASURES = ["error of the λ_n map", "error of the λ_t map", *(f"velocity error
 
 
 def of(data, variant, measure):
-    """An error of a variant, (seeds, scenes)."""
+    """Return an error of a variant for each initial weights and scene, (seeds, scenes). measure: one of `MEASURES`."""
     return np.array([errors[measure] for errors in data["variants"][variant]["errors"]])
 
 
@@ -116,10 +123,10 @@ def claims(data):
 
 
 def equal(text, thesis, first, second):
-    """The claim that two errors, (seeds, scenes), are equal, whichever two of their trainings are compared.
+    """Return the claim that the errors of two variants are equal, whichever two of their trainings are compared.
 
-    It holds if the largest and the smallest ratio of two trainings lie in `ALIKE`, with their intervals over the scenes
-    held out.
+    It holds if the confidence intervals of the largest and of the smallest ratio of two trainings lie within `ALIKE`.
+    The intervals are those over the held-out scenes. first, second: errors, (seeds, scenes).
     """
     (low, high), scenes = ALIKE, first.shape[1]
     means = lambda errors, drawn: errors[:, drawn].mean(axis=-1)  # noqa: E731
@@ -136,7 +143,7 @@ def equal(text, thesis, first, second):
 
 
 def table(data):
-    """The mean error of the trainings, and the least and the largest."""
+    """Return the rows of the table: for each variant and error the mean, least and largest of its trainings."""
     rows = [["networks", "parameters", *MEASURES]]
     for variant, found in data["variants"].items():
         means = [of(data, variant, measure).mean(axis=1) for measure in MEASURES]

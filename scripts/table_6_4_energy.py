@@ -1,4 +1,4 @@
-"""python scripts/table_6_4_energy.py: what is left of the energy of bouncing circles, preset by preset."""
+"""python scripts/table_6_4_energy.py: the mechanical energy that bouncing circles keep in a run with each preset."""
 
 import warnings
 from itertools import product
@@ -13,14 +13,17 @@ from deep_contact.scenes import circles_in_box
 from deep_contact.studies.hard_scenes import mechanical_energy, with_bodies
 
 KEPT = 0.02
-"""Largest change of the energy of elastic circles without friction, as a share of the energy at the start."""
+"""Largest change of the energy of elastic circles without friction that a claim allows, over the initial energy."""
 
 GAINED = 0.01
-"""Largest gain of energy of any circles, as a share of the energy at the start."""
+"""Largest increase of the energy of any circles that a claim allows, over the initial energy."""
 
 
 def scene_of(case, options):
-    """Circles that fall into the box. Their masses differ up to "mass_ratio" times, drawn evenly in their logarithm."""
+    """Return a scene of circles that fall into a box.
+
+    Their masses are multiplied by random factors from 1 to case["mass_ratio"], whose logarithms are drawn uniformly.
+    """
     scene = circles_in_box(
         options["n_bodies"], restitution=case["restitution"], friction=case["friction"], seed=case["seed"]
     )
@@ -29,7 +32,7 @@ def scene_of(case, options):
 
 
 def run_case(task):
-    """The energy at the end of a run, and the least and the greatest on its way, as shares of that at the start."""
+    """Simulate a case with its preset. Returns the case with its final, least and greatest energy, over the initial."""
     case, options = task
     state = scene_of(case, options)
     start, shares = mechanical_energy(state, state.bodies), []
@@ -42,7 +45,7 @@ def run_case(task):
 
 
 def compute(options, seed, jobs, progress):
-    """Every case with every preset."""
+    """Simulate every combination of restitution, friction and mass ratio with every preset."""
     names = ("restitution", "friction", "mass_ratio", "preset")
     cases = product(options["restitutions"], options["frictions"], options["mass_ratios"], PRESETS)
     tasks = [(dict(zip(names, case)) | {"seed": seed}, options) for case in cases]

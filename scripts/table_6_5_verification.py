@@ -1,4 +1,4 @@
-"""python scripts/table_6_5_verification.py: errors of motions and loads by a formula, here and in other engines."""
+"""python scripts/table_6_5_verification.py: errors of motions and loads with a known formula, here and elsewhere."""
 
 from dataclasses import replace
 from functools import partial
@@ -19,7 +19,10 @@ SILO = "Janssen's silo, floor load over weight"
 
 
 def cases():
-    """Name -> (source, function that measures a value by `run(scene, seconds)` -> state, exact value)."""
+    """Return the cases: name -> (source of the formula, function that measures a value, exact value).
+
+    The argument of the function that measures is itself a function: run(scene, seconds) -> state after the simulation.
+    """
     row, still = [[10.0, 20.0], [14.0, 20.0], [16.0, 20.0], [18.0, 20.0]], [0.0, 0.0]
     elastic = {"gravity": 0.0, "restitution": 1.0}
     disc, slip = "a = 2/3 g sin α (textbook)", "a = g (sin α − μ cos α) where tan α > 3 μ (textbook)"
@@ -35,7 +38,7 @@ def cases():
         bowl = bowl_of(swing, friction)
         return lambda run: 2.5 * pi - asin((run(bowl, seconds).bodies.position[0, 0] - 50.0) / (swing * sin(0.05)))
 
-    def squeeze(run):  # the contact of circles 0 and 1 is the first; other engines do not show us its impulse
+    def squeeze(run):  # contact 0 is that of circles 0 and 1; for other engines the contacts are empty
         state = run(press, 2.0)
         return state.contacts.normal_impulse[:1].sum() / state.dt or None
 
@@ -69,7 +72,11 @@ def cases():
 
 
 def bowl_of(swing, friction):
-    """A circle 0.05 rad from the bottom of a bowl of 20 m, of segments so short that they slow no swing."""
+    """Return a circle in a bowl with a radius of 20 m, 0.05 rad from the lowest point.
+
+    The bowl consists of segments that are so short that their corners do not slow the circle. swing: distance of the
+    circle's centre from the bowl's centre, m.
+    """
     angle = np.radians(np.linspace(-6.0, 6.0, 401))
     line = np.stack([50.0 + 20.0 * np.sin(angle), 21.0 - 20.0 * np.cos(angle)], axis=1)
     place = 50.0 + swing * sin(0.05), 21.0 - swing * cos(0.05)
@@ -77,7 +84,10 @@ def bowl_of(swing, friction):
 
 
 def least_friction(run):
-    """The least friction with which one circle rests on two that touch: with less the two part within 5 s."""
+    """Return the least friction coefficient with which a circle stays on two touching circles for 5 s.
+
+    With less friction the two circles move apart. run: function (scene, seconds) -> state.
+    """
 
     def rise(friction):
         heap = scene_of([[10.0, 1.01], [12.0, 1.01], [11.0, 1.01 + sqrt(3.0)]], friction=friction)
@@ -87,11 +97,13 @@ def least_friction(run):
 
 
 def silo(seeds=3, friction=0.5, columns=10):
-    """Floor load over weight of silos of 1 to 8 times their width, and Janssen's law with one K fitted to them.
+    """Measure the floor load over the weight in silos of four heights, and fit Janssen's law with one K.
 
-    The law supposes that friction holds the circles up wherever they touch a wall, so the walls move up, at 0.5 m/s,
-    as in Bertho and others. Circles that are poured between walls at rest can load the floor with more than their
-    weight. Loads are means over 10 s and over seeds.
+    The silos are about 1 to 8 times as high as wide. Janssen's law assumes that friction pushes the circles up at every
+    contact with a wall. Therefore the walls move up at 0.5 m/s, as in Bertho and others. Circles that are poured
+    between walls at rest can load the floor with more than their weight. Loads are means over 10 s and over seeds.
+    seeds: number of seeds. friction: Coulomb's μ. columns: number of circles side by side. Returns {"K", "depth":
+    height over width, "load": floor load over weight, "error": largest relative error of the fit}.
     """
     depth, load = np.zeros((2, 4, seeds))
     for (i, seed), _ in np.ndenumerate(load):
@@ -114,14 +126,14 @@ def silo(seeds=3, friction=0.5, columns=10):
 
 
 def compute(options, seed, jobs, progress):
-    """The relative error of each case in each engine that is installed."""
+    """Measure the relative error of each case in each installed engine."""
     done, settings = {}, {OURS: {"method": "PGS"}} | {name: {"engine": name} for name in peers.ENGINES}
     for name, (source, measured, exact) in cases().items():
         errors = {}
         for engine, setting in settings.items():
             try:
                 value = measured(partial(end, setting | options))
-            except ImportError:  # not installed
+            except ImportError:  # the engine is not installed
                 continue
             errors[engine] = None if value is None else abs(float(value) / exact - 1)
         done[name] = {"source": source, "errors": errors}

@@ -7,9 +7,9 @@
     python scripts/train.py --recipe "authors' code" --epochs 80    # as its authors' code trains it
     python scripts/train.py --from models/far_field.h5 --epochs 5 --out runs/further    # go on, with its settings
 
-<out>/history.png, the learning curve, is drawn after every epoch. Started again with the same flags, a run goes on
-after the last epoch that is done. At the end <out>/model.h5 is a model file with its card. `deep-contact train`
-and `deep-contact generate-data` do the same, also without the repository.
+The learning curve, <out>/history.png, is drawn after every epoch. If the same command is started again, the run
+continues after the last finished epoch. At the end, <out>/model.h5 is the model file with its card. `deep-contact
+train` and `deep-contact generate-data` do the same without the repository.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from deep_contact.__main__ import INTERRUPTED, status_of
 from deep_contact.cnn.training.config import RECIPES, TrainingConfig, config_of, recipe
 
 QUICK_DATA = "--simulations 12 --steps 250 --bodies 40 60 --seed 1 --jobs 1".split()
-"""Options of `generate_data.py` for --quick."""
+"""Arguments of `generate_data.py` with which --quick makes its data."""
 QUICK = {
     "far field": {"options": {"width": 8}, "epochs": 8, "states_per_epoch": 960},
     "thesis": {
@@ -35,12 +35,13 @@ QUICK = {
         **{"epochs": 16, "states_per_epoch": 640, "batch_size": 8},
     },
 }
+"""Architecture -> settings that --quick changes."""
 for _small in QUICK.values():
     _small |= {"validation_states": 100, "fractions": (0.7, 0.15, 0.15)}
 
 
 def arguments() -> argparse.ArgumentParser:
-    """A flag for every field of the configuration, and those of this script."""
+    """Return the parser, with an option for every field of `TrainingConfig`, and the options of this script."""
     layout = {"formatter_class": argparse.RawDescriptionHelpFormatter, "usage": "%(prog)s [--quick] [--OPTION VALUE …]"}
     parser = argparse.ArgumentParser(description=__doc__, argument_default=argparse.SUPPRESS, **layout)
     add = parser.add_argument
@@ -67,13 +68,18 @@ def arguments() -> argparse.ArgumentParser:
 
 
 def option(text: str):
-    """NAME=NUMBER as (name, value)."""
+    """Parse "NAME=NUMBER". Returns (name, value)."""
     name, _, value = text.partition("=")
     return name, float(value) if "." in value or "e" in value else int(value)
 
 
 def configuration(changes: dict, from_model, quick: bool = False) -> TrainingConfig:
-    """The settings by their flags: those of a model or of a recipe, with changes."""
+    """Return the settings of a model file or of a recipe, with changes.
+
+    changes: fields of `TrainingConfig`, and "recipe", from the command line. from_model: path of the model file, or
+    None to take a recipe. quick: whether the settings `QUICK` replace those of the recipe. Raises ValueError if the
+    options contradict each other.
+    """
     if "options" in changes:
         changes["options"] = dict(changes["options"])
     name = changes.pop("recipe", None)
@@ -94,7 +100,11 @@ def configuration(changes: dict, from_model, quick: bool = False) -> TrainingCon
 
 
 def run(data, out, quick, **changes) -> None:
-    """Train, and print the errors on the test states."""
+    """Train a network, and print its errors on the test states.
+
+    data, out: folders of the simulations and of the run, or None for the default. quick: whether to train a small
+    network on a small data set. changes: the other options of the command line.
+    """
     options = {name: changes.pop(name) for name in ("threads", "held_out", "from_model")}
     if options["from_model"] is not None:
         from deep_contact.cnn.registry import network_file
@@ -112,7 +122,7 @@ def run(data, out, quick, **changes) -> None:
         made = [sys.executable, Path(__file__).with_name("generate_data.py"), "--out", data, *QUICK_DATA]
         if subprocess.run(made).returncode:
             raise OSError(f"{data}: expected simulations, got none")
-    data = Store(data or "data/generated").folder  # before TensorFlow, which takes seconds to load
+    data = Store(data or "data/generated").folder  # fails before TensorFlow is imported, which takes seconds
     from deep_contact.cnn.backend import keras
     from deep_contact.cnn.training import train
     from deep_contact.cnn.training.curve import learning_curve, read_history

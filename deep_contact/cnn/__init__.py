@@ -1,7 +1,7 @@
-"""Chapters 4 and 5 of the thesis: states as images, data, networks, training and inference.
+"""Chapters 4 and 5 of the thesis: images of states, data sets, networks, training and inference.
 
-A name is imported when it is first used. Keras and TensorFlow are imported in `backend` alone, for networks on images
-and for training.
+Each name of this package is imported when it is first used. Only `backend` imports Keras and TensorFlow. Networks on
+images and the training of any network need them.
 """
 
 from __future__ import annotations

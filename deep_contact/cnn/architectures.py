@@ -1,7 +1,7 @@
-"""The networks: the thesis's own, exactly, and the far-field network, which is ours. `build(name, ...)` makes each.
+"""The networks: an exact copy of the thesis's network, and the far-field network, which is ours. `build` makes both.
 
-All take images (batch, n_y, n_x, channels) and consist of stock Keras layers only, so that their files hold no code
-and open with plain `keras.models.load_model(path, compile=False)`.
+Both take images (batch, n_y, n_x, channels). They consist of stock Keras layers only. So their files hold no code and
+can be opened with `keras.models.load_model(path, compile=False)`.
 """
 
 from __future__ import annotations
@@ -17,19 +17,21 @@ from deep_contact.state.validation import integer, number, one_of
 layers = keras.layers
 
 THESIS_STACKS = ((32, (3, 3)), (64, (3, 3, 2)), (128, (2, 2, 2)), (256, (2, 2, 2)), (512, (2, 2, 2)))
-"""Each stack: its number of filters, and the side of the square kernel of each of its convolutions.
+"""Stacks of convolutions. A stack is (number of filters, sides of the square kernels of its convolutions).
 
-(3, 3, 2) are three convolutions: 3 × 3, 3 × 3 and 2 × 2 (Appendix B). Table 5.2 has 3 × 3 for all.
+For example (3, 3, 2) stands for three convolutions with kernels of 3 × 3, 3 × 3 and 2 × 2 (Appendix B). Table 5.2 has
+kernels of 3 × 3 for all convolutions.
 """
 
 _NORMALIZED = (2, 4)
-"""Numbers of the stacks whose pooling is followed by batch normalisation (Table 5.1)."""
+"""Numbers of the stacks, counted from 1, whose pooling is followed by batch normalisation (Table 5.1)."""
 
 
 def build(name: str, **options) -> keras.Model:
-    """The untrained network `name`, "thesis" or "far field". options: arguments of `thesis` or `far_field`.
+    """Return an untrained network.
 
-    Raises ValueError for another name, and for options that the network does not have.
+    name: "thesis" or "far field". options: arguments of the function `thesis` or `far_field`. Raises ValueError for
+    another name, and for options that the function does not have.
     """
     make = ARCHITECTURES[one_of("architecture", name, ARCHITECTURES)]
     for option in options:
@@ -47,18 +49,19 @@ def thesis(
     weight_decay: float = 1e-4,
     rank: int | None = None,
 ) -> keras.Model:
-    """The thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · targets).
+    """Return the thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · targets).
 
-    With the defaults the network has 64,498,866 trainable parameters. The fully connected last layer holds 61 million
-    of them and ties the network to images of one size. Its ReLU excludes negative impulses, and with them half of all
-    friction, as in the thesis.
+    With the defaults the network has 64,498,866 trainable parameters. The fully connected last layer has 61 million of
+    them, and works for images of one size only. The ReLU of this layer excludes negative impulses, and so half of all
+    friction impulses, as in the thesis.
 
-    targets: number of maps in the output; 1 is a network for one impulse alone, as in goal 8 of the thesis.
-    stacks: filters and sides of the kernels; all stacks but the last are pooled. dropout: rate after every stack
-    (Table 5.1), or one rate for each; Appendix B has dropout after the last stack only.
-    weight_decay: factor of the L2 regulariser; the default is that of the authors' code, the thesis prints none.
-    rank: the last layer's matrix, 244 MB, is a product of two matrices of this rank; None: it is one matrix, as in the
-    thesis.
+    shape: (n_y, n_x), the nodes of an image. channels: number of channels of the input. targets: number of maps in the
+    output; with 1 the network predicts one impulse alone, as in goal 8 of the thesis.
+    stacks: as in `THESIS_STACKS`; every stack but the last is followed by pooling. dropout: one rate for all stacks
+    (Table 5.1), or one rate for each stack; Appendix B has dropout after the last stack only.
+    weight_decay: factor of the L2 regulariser. The default is that of the authors' code; the thesis prints none.
+    rank: rank of the last layer's matrix, which is then a product of two smaller matrices. None is one full matrix of
+    244 MB, as in the thesis.
     Raises ValueError naming the option and the value.
     """
     if len(shape) != 2:
@@ -92,11 +95,12 @@ def thesis(
 
 
 def far_field(*, width: int = 24) -> keras.Model:
-    """The far-field network (`cnn.far_field`): (b, n_y, n_x, 29), n = 1 (mod 8) -> 12 outputs at every second node.
+    """Return the far-field network (`cnn.far_field`): (b, n_y, n_x, 29) -> (b, (n_y + 1) / 2, (n_x + 1) / 2, 12).
 
-    A U-Net of residual blocks on every second, fourth and eighth node of the input, of `width`, 2 `width` and
-    2 `width` features. The last layer starts from zero, so that an untrained network leaves Builtin's start as it is.
-    Raises ValueError naming the option and the value.
+    n_y and n_x have to be 1 (mod 8). The network is a U-Net of residual blocks. They act on every second, fourth and
+    eighth node of the input, with `width`, 2 `width` and 2 `width` features. The weights of the last layer begin at
+    zero. So an untrained network predicts no correction of the start that it corrects.
+    width: number of features on every second node. Raises ValueError naming the option and the value.
     """
     integer("width", width, 1)
     normal = {"kernel_initializer": "he_normal"}
@@ -129,4 +133,4 @@ def far_field(*, width: int = 24) -> keras.Model:
 
 
 ARCHITECTURES: dict[str, Callable[..., keras.Model]] = {"thesis": thesis, "far field": far_field}
-"""Name -> function that builds the network."""
+"""Name of a network -> function that builds it."""

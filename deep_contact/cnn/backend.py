@@ -1,4 +1,7 @@
-"""Keras and TensorFlow: the one place that imports them, without a line of TensorFlow's log on the screen."""
+"""The only module that imports Keras and TensorFlow. It keeps TensorFlow's log messages off the screen.
+
+Tests: tests/cnn/test_inference.py, tests/cnn/test_training.py, tests/behaviour/test_without_keras.py
+"""
 
 from __future__ import annotations
 
@@ -11,20 +14,27 @@ from contextlib import contextmanager, suppress
 from deep_contact.state.validation import integer
 
 _threads: int | None = None
-"""Number of threads that `limit_threads` has set. None: TensorFlow chooses."""
+"""Number of threads that `limit_threads` has set, or None, with which TensorFlow chooses the number."""
 
 _importing = threading.RLock()
-"""Lock of an import: file descriptor 2 belongs to the whole process, and no thread may see half a package."""
+"""Lock that a thread holds during an import. No other thread may see a package that is half imported.
+
+The import also redirects file descriptor 2, which all threads of the process share.
+"""
 
 
 def __getattr__(name: str):
-    """`from deep_contact.cnn.backend import keras`, or `tensorflow`: the package, imported on first use."""
+    """Return the package "keras" or "tensorflow", and import it on first use.
+
+    Python calls this function for `from deep_contact.cnn.backend import keras`. Raises AttributeError for another name,
+    and ModuleNotFoundError if the package is missing or Keras has another backend.
+    """
     if name not in ("keras", "tensorflow"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     _expect_tensorflow(os.environ.get("KERAS_BACKEND", "tensorflow"))
     with _importing:
         if name not in sys.modules:
-            # This level hides TensorFlow's later messages. The first ones come before the level is read: `_silent`.
+            # This level hides TensorFlow's later messages. `_silent` hides those that come before the level is read.
             os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
             try:
                 with _silent():
@@ -46,9 +56,10 @@ def _expect_tensorflow(backend: str) -> None:
 
 
 def limit_threads(count: int) -> None:
-    """Let TensorFlow use `count` threads for all networks of this process, now or as soon as it is imported.
+    """Set the number of threads that TensorFlow uses for all networks of this process.
 
-    Raises RuntimeError where TensorFlow already works with another number of threads.
+    If TensorFlow has not been imported yet, the number is set when it is. Raises RuntimeError if TensorFlow already
+    works with another number of threads.
     """
     global _threads
     _threads = integer("threads", count, 1)
@@ -56,7 +67,7 @@ def limit_threads(count: int) -> None:
 
 
 def one_thread() -> None:
-    """Let TensorFlow use one thread in this process. Where it already works with more, it keeps them."""
+    """Set the number of TensorFlow's threads in this process to 1, unless TensorFlow already works with more."""
     with suppress(RuntimeError):
         limit_threads(1)
 
@@ -70,10 +81,10 @@ def _apply_limit() -> None:
 
 @contextmanager
 def _silent():
-    """Drop all output to file descriptor 2, that of C++ included."""
+    """Discard all output to file descriptor 2, the standard error, also what C++ code writes."""
     try:
         before = os.dup(2)
-    except OSError:  # a process without this descriptor, as under pythonw
+    except OSError:  # the process has no standard error, as under pythonw
         yield
         return
     with open(os.devnull, "wb") as nowhere:

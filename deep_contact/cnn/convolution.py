@@ -1,12 +1,14 @@
-"""The far-field network without a framework: its convolutions in Numba, as one compiled call, for inference.
+"""Inference of the far-field network without Keras: one compiled Numba call computes all convolutions.
 
-A layer is a table. It has the place of each output node's first tap in the input, and weights in groups of eight or
-sixteen features. Eight nodes of a group are eight vectors that stay in registers while all taps go by. So nearly every
-operation multiplies and adds as many numbers as the processor can at a time. A transposed convolution is four such
-layers, one for each pair of even or odd rows and columns of its output, so that no zero is multiplied.
+A layer is a table (`LAYER`). It has the index of each output node's first tap in the input, and weights in groups of
+eight or sixteen features. The kernel computes a group of features at eight nodes at a time. The eight sums are SIMD
+vectors that stay in registers while the loop runs over all taps. So nearly every operation is a multiply-add of whole
+SIMD registers. A transposed convolution is split into four layers: one for each pair of even or odd rows and even or
+odd columns of its output. So no inserted zero is multiplied.
 
-An image is stored with a margin of one node of zeros; the margin at the end of a row is also that at the beginning of
-the next. A residual block needs its input as it is and with ReLU taken, so both images are stored.
+An image is stored with a margin of zeros, one node wide. The margin at the end of a row also serves as the margin at
+the beginning of the next row. A residual block needs its input both unchanged and after ReLU, so both images are
+stored.
 """
 
 from __future__ import annotations
@@ -24,41 +26,48 @@ from deep_contact.state.validation import expect
 
 
 def layer_shapes(width: int) -> dict[str, list[tuple[int, ...]]]:
-    """Layer of `architectures.far_field` -> shapes of its kernel and bias."""
+    """Return the shapes of the weights of `architectures.far_field`: layer -> [shape of the kernel, shape of the bias].
+
+    width: number of features on every second node.
+    """
     channels, near, far = len(FarFieldSpec.channels), width, 2 * width
     features = {"second": near, "fourth": far, "eighth": far, "far": far, "fourth_back": far, "second_back": near}
     kernels = {f"{block}_{turn}": (3, 3, count, count) for block, count in features.items() for turn in (1, 2)}
     kernels |= {"to_second": (3, 3, channels, near), "to_fourth": (3, 3, near, far), "to_eighth": (3, 3, far, far)}
-    # A transposed convolution has its outputs before its inputs.
+    # The kernel of a transposed convolution has the shape (3, 3, outputs, inputs).
     kernels |= {"back_to_fourth": (3, 3, far, far), "back_to_second": (3, 3, near, far)}
     kernels["coefficients"] = (1, 1, near, len(COEFFICIENTS))
     return {name: [kernel, (kernel[2 if name.startswith("back") else 3],)] for name, kernel in kernels.items()}
 
 
 _WIDEST = 2 if get_host_cpu_features().get("avx512f") else 1
-"""Number of vectors of `WIDTH` numbers that a register of the processor holds."""
+"""Largest number of vectors of `WIDTH` features in a group: 2 with the registers of AVX-512, else 1."""
 
 
 LAYER = np.dtype(
     [
-        ("first", np.int64),  # row of its first node in `Program.nodes`
-        ("blocks", np.int64),  # number of blocks of `WIDTH` nodes
-        ("pitch", np.int64),  # numbers from a row of taps to the next in the input
-        ("rows", np.int64),  # number of rows of taps
-        ("run", np.int64),  # numbers in a row of taps
-        ("weights", np.int64),  # first vector in `Program.weights`: bias, then taps, group by group
+        ("first", np.int64),  # row of the layer's first output node in `Program.nodes`
+        ("blocks", np.int64),  # number of blocks of `WIDTH` output nodes
+        ("pitch", np.int64),  # distance of two rows of taps in the input image, in float32 numbers
+        ("rows", np.int64),  # number of rows of taps, the height of the kernel
+        ("run", np.int64),  # float32 numbers in a row of taps: width of the kernel times numbers in a node
+        ("weights", np.int64),  # index of the first vector in `Program.weights`: for each group bias, then taps
         ("groups", np.int64),  # number of groups of features
-        ("vectors", np.int64),  # vectors of `WIDTH` features in a group, 1 or 2
-        ("skip", np.int64),  # image that is added
-        ("out", np.int64),  # image that is written
-        ("positive", np.int64),  # image that is written with ReLU taken
+        ("vectors", np.int64),  # number of vectors of `WIDTH` features in a group, 1 or 2
+        ("skip", np.int64),  # image that is added to the result
+        ("out", np.int64),  # image to which the result is written
+        ("positive", np.int64),  # image to which ReLU of the result is written
     ]
 )
-"""A row of `Program.layers`. Images are named by their place in the workspace, in vectors of `WIDTH`; -1: none."""
+"""A row of `Program.layers`. An image is given by its offset in the workspace, in vectors of `WIDTH`; -1: no image."""
 
 
 class Image(NamedTuple):
-    """An image in the workspace: height and width in nodes, numbers in a node, and the place of its first number."""
+    """An image in the workspace. The sizes leave the margin out, and `place` includes it.
+
+    height, width: numbers of nodes. numbers: float32 numbers stored for a node, one for each channel. place: index of
+    the image's first number in the workspace.
+    """
 
     height: int
     width: int
@@ -67,25 +76,29 @@ class Image(NamedTuple):
 
     @property
     def pitch(self) -> int:
-        """Numbers from the beginning of a row to that of the next."""
+        """Distance between the beginnings of two rows, in float32 numbers."""
         return (self.width + 1) * self.numbers
 
     def nodes(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-        """Places of the nodes in these rows and columns, row by row, relative to `place`; -1 is the margin."""
+        """Return the offset of the first number of each node in some rows and columns, relative to `place`.
+
+        rows, columns: indices of rows and columns; -1 is the margin. The offsets are flattened row by row.
+        """
         return (((rows[:, None] + 1) * (self.width + 1) + columns + 1) * self.numbers).ravel()
 
     def view(self, space: np.ndarray) -> np.ndarray:
-        """The image in a workspace, (height, width, numbers)."""
+        """Return a view of the image in a workspace, without the margin, (height, width, numbers)."""
         first = self.place + self.pitch + self.numbers
         rows = space[first : first + self.height * self.pitch].reshape(self.height, self.width + 1, self.numbers)
         return rows[:, : self.width]
 
 
 class Program:
-    """The network `architectures.far_field` for images (n_y, n_x, channels), n = 1 (mod 8).
+    """The network `architectures.far_field` compiled for images of one shape.
 
-    weights: layer -> kernel and bias, as `model_file.StoredNetwork` has them. Several threads may call a program: each
-    call has a workspace of its own. Raises ValueError where the network has other layers (see `layer_shapes`).
+    weights: name of a layer -> [kernel, bias], as in `model_file.StoredNetwork`. shape: (n_y, n_x), the nodes of an
+    image, each 1 (mod 8). Several threads may call a program at once, because each call has its own workspace. Raises
+    ValueError if the layers are not those of `layer_shapes`.
     """
 
     def __init__(self, weights: dict[str, list[np.ndarray]], shape: tuple[int, int]):
@@ -100,19 +113,22 @@ class Program:
         second = self._block("second_back", self._up("back_to_second", fourth[0], second[0]))
         last = self._image(second[1].height, second[1].width, len(COEFFICIENTS))
         self._convolution("coefficients", second[1], last)
-        # Without the compiler only a record array has its columns as attributes.
+        # Without Numba's compiler, `layer.first` and other columns are attributes of a record array only.
         layers, self.nodes = np.array(self._layers, LAYER), np.concatenate(self._nodes)
         self.layers = layers.view(np.recarray) if config.DISABLE_JIT else layers
         self.weights, self._input, self._output = np.concatenate(self._weights), image, last
-        self._workspaces = [_aligned(self._size)]  # workspaces that no call is using
+        self._workspaces = [_aligned(self._size)]  # workspaces that no call uses at the moment
         del self._of, self._layers, self._nodes, self._weights
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """Coefficients (rows, columns, outputs) for an image of the program's shape, both float32."""
+        """Return the coefficients that the network predicts, (rows, columns, 12), float32.
+
+        image: (n_y, n_x, channels), float32, of the program's shape.
+        """
         expect(image.shape == self._input[:3], f"image: expected shape {self._input[:3]}, got {image.shape}")
         try:
             workspace = self._workspaces.pop()
-        except IndexError:  # other threads have all workspaces
+        except IndexError:  # other threads use all workspaces
             workspace = _aligned(self._size)
         self._input.view(workspace)[:] = image
         _run(self.layers, self.nodes, self.weights, workspace)
@@ -121,24 +137,24 @@ class Program:
         return output
 
     def _image(self, height, width, features) -> Image:
-        """Reserve the place of an image in the workspace, whose zeros are the margin."""
+        """Reserve a range of the workspace for an image and its margin. The workspace is zero, and so is the margin."""
         numbers = features if self._size == 0 else _whole(features)
         image = Image(height, width, numbers, self._size)
         self._size += _whole(((height + 2) * (width + 1) + 1) * numbers)
         return image
 
     def _pair(self, *size):
-        """Reserve the places of an image as it is, and with ReLU taken."""
+        """Reserve two images of one size in the workspace: for a result, and for ReLU of the result."""
         return self._image(*size), self._image(*size)
 
     def _down(self, name, image):
-        """Every second node: a convolution with stride 2."""
+        """Add a convolution with stride 2. Returns the two images of its result, as for `_pair`."""
         made = self._pair((image.height + 1) // 2, (image.width + 1) // 2, self._of[name][0].shape[3])
         self._convolution(name, image, *made, stride=2)
         return made
 
     def _block(self, name, images):
-        """A residual block: x + conv(ReLU(conv(ReLU(x))))."""
+        """Add a residual block, x + conv(ReLU(conv(ReLU(x)))). Returns the two images of its result, as for `_pair`."""
         raw, positive = images
         between, made = self._image(*raw[:3]), self._pair(*raw[:3])
         self._convolution(f"{name}_1", positive, positive=between)
@@ -146,34 +162,47 @@ class Program:
         return made
 
     def _up(self, name, image, skip):
-        """2 n − 1 nodes of n: a transposed convolution without its outer nodes, to which the image `skip` is added."""
+        """Add a transposed convolution with stride 2 that makes 2 n − 1 nodes of n, and add the image `skip` to it.
+
+        The outermost nodes of the transposed convolution are left out. Returns the two images of its result, as for
+        `_pair`.
+        """
         made = self._pair(skip.height, skip.width, self._of[name][0].shape[2])
         for odd_row in (0, 1):
             for odd_column in (0, 1):
                 rows, columns = np.arange(image.height - odd_row), np.arange(image.width - odd_column)
                 here = made[0].nodes(2 * rows + odd_row, 2 * columns + odd_column)
-                # An even node meets the kernel's middle; an odd one its end at the node before, its start at the next.
+                # Along an axis, an even output node takes the kernel's tap 1 at one input node. An odd output node
+                # takes tap 2 at the input node before it, and tap 0 at the input node after it.
                 taps = [(1,), (2, 0)][odd_row], [(1,), (2, 0)][odd_column]
                 kernel = self._of[name][0].transpose(0, 1, 3, 2)[np.ix_(*taps)]
                 self._layer(name, kernel, image, image.nodes(rows, columns), here, *made, skip=skip)
         return made
 
     def _convolution(self, name, image, out=None, positive=None, *, stride=1, skip=None):
-        """A convolution with zeros around the image."""
+        """Add a convolution of an image that is padded with zeros.
+
+        name: layer. out, positive: images for the result and for ReLU of the result, or None. skip: image that is added
+        to the result, or None.
+        """
         kernel, made = self._of[name][0], out or positive
         reach, rows, columns = kernel.shape[0] // 2, np.arange(made.height), np.arange(made.width)
         nodes = image.nodes(stride * rows - reach, stride * columns - reach)
         self._layer(name, kernel, image, nodes, made.nodes(rows, columns), out, positive, skip=skip)
 
     def _layer(self, name, kernel, image, nodes, here, out, positive, *, skip):
-        """Add a layer that computes the nodes at `here` from the taps that begin at `nodes` of the image."""
+        """Append a layer to the program's tables.
+
+        kernel: (rows, columns, channels, features). nodes: offset of the first tap of each output node in the input
+        `image`. here: offset of each output node in its image. out, positive, skip: as for `_convolution`.
+        """
         rows, columns, channels, features = kernel.shape
         every = _whole(features) // WIDTH
-        # A row of vectors for the bias, then one for each tap and channel.
+        # The first row has the bias, and each other row has the weights of a tap and channel. A row has all features.
         wide = np.zeros((1 + rows * columns * image.numbers, every, WIDTH), np.float32)
         wide[0].ravel()[:features] = self._of[name][1]
         wide[1:].reshape(rows, columns, image.numbers, -1)[:, :, :channels, :features] = kernel
-        # The places left in the last block compute the last node again.
+        # If the last block is not full, its remaining entries compute the last node again.
         count = _whole(len(nodes))
         places = np.stack([nodes + image.place, here // WIDTH], axis=1).astype(np.uint32)
         first = sum(part.shape[0] for part in self._nodes)
@@ -190,28 +219,32 @@ class Program:
 
 
 def is_far_field(weights: dict[str, list[np.ndarray]]) -> bool:
-    """Whether a network has the layers of `architectures.far_field`."""
+    """Return whether a network has the layers of `architectures.far_field`. weights: layer -> [kernel, bias]."""
     shapes = {name: [array.shape for array in arrays] for name, arrays in weights.items() if arrays}
     first = shapes.get("to_second", [()])[0]
     return len(first) > 0 and shapes == layer_shapes(first[-1])
 
 
 def _whole(count: int) -> int:
-    """The next multiple of `WIDTH`."""
+    """Return the smallest multiple of `WIDTH` that is at least `count`."""
     return -(-count // WIDTH) * WIDTH
 
 
 def _aligned(size: int) -> np.ndarray:
-    """`size` zeros, float32, the first of them at the beginning of a cache line."""
+    """Return `size` zeros, float32, whose address is that of a cache line of 64 bytes."""
     line = 64
     room = np.zeros(size + line // 4, np.float32)
     return room[(-room.ctypes.data % line) // 4 :][:size]
 
 
-# Unsigned indices spare Numba the test for negative ones, which count from the end.
+# The indices are unsigned. For signed ones Numba would test whether they are negative, since those count from the end.
 @njit(cache=True, error_model="numpy")
 def _convolve(layer, b, nodes, weights, space, zero):
-    """Compute block b of a layer in place: `WIDTH` nodes, all groups of as many features as `zero` has lanes."""
+    """Compute block b of a layer, `WIDTH` output nodes, and write the result into the workspace `space`.
+
+    layer: a row of `Program.layers`. nodes, weights: tables of the `Program`. zero: a SIMD vector of zeros with as many
+    lanes as a group has features, 8 or 16.
+    """
     first, pitch, vectors = layer.first + b * WIDTH, uint64(layer.pitch), layer.vectors
     x0, x1, x2 = nodes[uint64(first), 0], nodes[uint64(first + 1), 0], nodes[uint64(first + 2), 0]
     x3, x4, x5 = nodes[uint64(first + 3), 0], nodes[uint64(first + 4), 0], nodes[uint64(first + 5), 0]

@@ -1,4 +1,4 @@
-"""A store of the files of many simulations (`deep_contact.io.simulation_h5`), and their split for training."""
+"""The data set of a training: a folder of simulation files (`deep_contact.io.simulation_h5`), and their split."""
 
 from __future__ import annotations
 
@@ -17,23 +17,27 @@ from deep_contact.state.state import StateWithContacts
 from deep_contact.state.validation import integer, one_of
 
 PHASES = ("impact", "settling", "rest")
+"""Phases of a run, by which states are sorted."""
+
 SETTLING, REST = 0.5, 0.05
-"""Relative errors of Builtin's start below which a state is settling, or at rest."""
+"""Largest relative errors of a state's start (`start_errors`) with which the state is settling, or at rest."""
 
 _reading = Lock()
-"""Lock of a store while it reads a file and changes its cache."""
+"""Lock that a thread holds while a store reads a file and changes its cache."""
 
 
 def simulation_path(folder, sim: int) -> Path:
-    """The path of simulation `sim` in a folder."""
+    """Return the path of the file of simulation number `sim` in a folder."""
     return Path(folder) / f"sim_{sim:04d}.h5"
 
 
 class Store:
     """The simulations of a folder: `sim_0000.h5`, `sim_0001.h5`, …
 
-    A simulation is read and checked as a whole on the first access to one of its states. The simulations read last are
-    kept in memory, unpacked, up to `cache_bytes` (at least one). Raises DataFileError where the folder has none.
+    The first access to a state reads and checks its whole simulation. The simulations that were used last stay in
+    memory, decompressed.
+    folder: path of the folder. cache_bytes: limit of this memory; one simulation is kept even if it is larger. Raises
+    DataFileError if the folder has no simulation.
     """
 
     def __init__(self, folder, *, cache_bytes: int = 8 * 2**30):
@@ -41,14 +45,14 @@ class Store:
         self.cache_bytes = integer("cache_bytes", cache_bytes)
         matches = (re.fullmatch(r"sim_(\d{4}|[1-9]\d{4,8})\.h5", path.name) for path in self.folder.glob("sim_*.h5"))
         self.simulations = tuple(sorted(int(match[1]) for match in matches if match))
-        """Numbers of the simulations, rising."""
+        """Numbers of the simulations in the folder, in ascending order."""
         if not self.simulations:
             raise DataFileError(f"{self.folder}: expected files sim_0000.h5, …; got none: scripts/generate_data.py")
         self._cache: OrderedDict[int, StoredSimulation] = OrderedDict()
         self._infos = {}
 
     def __len__(self) -> int:
-        """Number of states of all simulations together."""
+        """Return the number of states in all simulations together."""
         return sum(self.info(sim).count for sim in self.simulations)
 
     def _path(self, sim: int) -> Path:
@@ -57,13 +61,16 @@ class Store:
         return simulation_path(self.folder, sim)
 
     def info(self, sim: int):
-        """The `SimulationInfo`, read without the arrays. Raises KeyError on an unknown simulation."""
+        """Return the `SimulationInfo` of simulation number `sim`, which is read without its arrays.
+
+        Raises KeyError on an unknown simulation.
+        """
         if sim not in self._infos:
             self._infos[sim] = simulation_info(self._path(sim))
         return self._infos[sim]
 
     def simulation(self, sim: int) -> StoredSimulation:
-        """All states of a simulation, from memory if the store still has it there."""
+        """Return all states of simulation number `sim`, from memory if it is still there, otherwise from its file."""
         with _reading:
             if sim not in self._cache:
                 self._cache[sim] = read_simulation(self._path(sim))
@@ -73,13 +80,14 @@ class Store:
             return self._cache[sim]
 
     def state(self, sim: int, index: int) -> StateWithContacts:
-        """One state, equal to the written one to the last bit."""
+        """Return state number `index` of simulation number `sim`. It equals the state that was written, bit by bit."""
         return self.simulation(sim).state(index)
 
     def states(self, sims=None, *, phases=None) -> np.ndarray:
-        """Pairs (simulation, index), (k, 2), of the states of some simulations (all by default), in order.
+        """Return pairs (number of the simulation, index of the state), (k, 2), in order.
 
-        phases: one of `PHASES`, the only phase whose states are returned; None: all phases.
+        sims: numbers of the simulations; None: all of them. phases: one of `PHASES`, the phase whose states are
+        returned; None: states of all phases.
         """
         pairs = [np.empty((0, 2), np.int64)]
         for sim in self.simulations if sims is None else sims:
@@ -90,18 +98,20 @@ class Store:
         return np.concatenate(pairs)
 
     def data_hash(self, sims=None) -> str:
-        """SHA-256 over the numbers and digests of some simulations (all by default), the same for every compression.
+        """Return the SHA-256 of the numbers and digests of some simulations, which does not depend on the compression.
 
-        The digests are those in the files; each is checked against the contents when the simulation is read.
+        sims: numbers of the simulations; None: all of them. The digests are read from the files. A digest is checked
+        against the contents of its file only when the simulation is read.
         """
         lines = (f"{sim} {self.info(sim).digest}\n" for sim in (self.simulations if sims is None else sims))
         return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
 def start_errors(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """‖λ₀ − λ‖ / ‖λ‖ of each state, (T,), λ₀ being its start; 0 where both are zero, infinite where only λ is.
+    """Return the relative error ‖λ₀ − λ‖ / ‖λ‖ of the start λ₀ of each state, (T,). λ are the solved impulses.
 
-    arrays: those of a `StoredSimulation`.
+    The error is 0 if both λ₀ and λ are zero, and infinite if only λ is zero. arrays: the arrays of a
+    `StoredSimulation`.
     """
     off = (arrays["normal_start"] - arrays["normal_impulse"]) ** 2
     off += (arrays["tangent_start"] - arrays["tangent_impulse"]) ** 2
@@ -114,22 +124,28 @@ def start_errors(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def phases_of(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The phase of each state as an index of `PHASES`, (T,), by the error of its start (`SETTLING`, `REST`).
+    """Return the phase of each state as an index of `PHASES`, (T,).
 
-    arrays: those of solved states of runs with Builtin's start, whose error is the change since the step before.
+    The relative error of a state's start decides its phase, by the thresholds `SETTLING` and `REST`. The states have to
+    be solved, and their start has to be "builtin", the impulses of the step before. The error is then the change of the
+    impulses in a step. arrays: the arrays of a `StoredSimulation`.
     """
     errors = start_errors(arrays)
     return (errors <= SETTLING).astype(np.int64) + (errors <= REST)
 
 
 def phase(state: StateWithContacts) -> str:
-    """The phase of a state, one of `PHASES`, by the rule of `phases_of`."""
+    """Return the phase of a solved state, one of `PHASES`, by the rule of `phases_of`."""
     offsets = {"contact_offset": np.array([0, state.contacts.count])}
     return PHASES[phases_of(state.contacts._asdict() | offsets)[0]]
 
 
 class Split(NamedTuple):
-    """Numbers of the simulations for training, for the choice of the epoch, and for reports; increasing, disjoint."""
+    """A split of simulations into three disjoint sets. Each field has the numbers of its simulations, ascending.
+
+    train: simulations to train on. validation: simulations by which the best epoch is chosen. test: simulations for the
+    reported errors.
+    """
 
     train: tuple[int, ...]
     validation: tuple[int, ...]
@@ -137,11 +153,12 @@ class Split(NamedTuple):
 
 
 def split_by_simulation(sims, *, fractions=(0.8, 0.1, 0.1), seed: int = 0) -> Split:
-    """Simulations assigned at random to three sides, each as a whole, since states of one simulation are similar.
+    """Split simulations at random into training, validation and test sets.
 
-    sims: numbers of the simulations. fractions: of train, validation and test, with the sum 1. A side with a positive
-    fraction gets at least one simulation. The split depends on the seed and the numbers only.
-    Raises ValueError for other fractions or too few simulations.
+    All states of a simulation go to the same set, because they are similar. sims: numbers of the simulations.
+    fractions: shares of the simulations for the training, validation and test sets, with the sum 1. A set with a
+    positive share gets at least one simulation. seed: seed of the random numbers; the split depends on the seed and the
+    numbers only. Raises ValueError for other fractions or too few simulations.
     """
     ids = np.unique(np.array(list(sims), np.int64))
     shares = np.array(fractions, float)
@@ -150,7 +167,8 @@ def split_by_simulation(sims, *, fractions=(0.8, 0.1, 0.1), seed: int = 0) -> Sp
     if ids.size < np.count_nonzero(shares):
         raise ValueError(f"sims: expected a simulation for each side, got {ids.size} simulations")
     counts = np.maximum(np.floor(shares * ids.size), shares > 0).astype(int)
-    # Rounding errors are settled on the side that is furthest from its share.
+    # Simulations that rounding left over go to the set that is furthest below its share. Those in excess are taken from
+    # the set that is furthest above its share.
     while left := ids.size - counts.sum():
         lack = shares * ids.size - counts
         counts[np.argmax(lack) if left > 0 else np.argmin(np.where(counts > 1, lack, np.inf))] += np.sign(left)
@@ -159,5 +177,5 @@ def split_by_simulation(sims, *, fractions=(0.8, 0.1, 0.1), seed: int = 0) -> Sp
 
 
 def evenly(states: np.ndarray, count: int) -> np.ndarray:
-    """About `count` of the states (k, 2), evenly spaced."""
+    """Return about `count` of the states, evenly spaced. states: pairs (simulation, index), (k, 2)."""
     return states[:: max(1, len(states) // max(count, 1))]

@@ -1,4 +1,9 @@
-"""Velocity errors of starts on held-out states, after few sweeps, by phase of the run."""
+"""Errors of starts on held-out states: of the velocities after a few solver sweeps, by phase, and of the impulses.
+
+A start is the vector of impulses λ₀ from which the contact solver begins.
+
+Tests: tests/cnn/test_inference.py, tests/cnn/test_through_solver.py, tests/studies/test_chapter_5.py
+"""
 
 from __future__ import annotations
 
@@ -14,19 +19,26 @@ from deep_contact.stepping.metrics import velocity_error
 from deep_contact.stepping.problem import solve
 
 SWEEPS = (0, 3, 10, 30)
+"""Numbers of sweeps after which errors are measured."""
 
 BASELINES = {
     "none": lambda state, solver: (np.zeros(state.contacts.count), np.zeros(state.contacts.count)),
     "builtin": lambda state, solver: (state.contacts.normal_start, state.contacts.tangent_start),
 }
-"""Name -> start without a network: `NoStart` and `Builtin` of `warm_start`, which this folder does not import."""
+"""Name -> function (state, solver) -> (λ_n, λ_t), for two starts that need no network.
+
+"none" is zero impulses, and "builtin" is the impulses of the step before. They equal `NoStart` and `Builtin` of
+`warm_start`, which this folder may not import.
+"""
 
 
 def velocity_errors(state: State, start: tuple[np.ndarray, np.ndarray], sweeps: Sequence[int] = SWEEPS) -> np.ndarray:
-    """`metrics.velocity_error` after each number of `sweeps` of PGS from a start, (len(sweeps),).
+    """Return the relative velocity errors (`metrics.velocity_error`) after some sweeps of PGS, (len(sweeps),).
 
-    The reference velocities v* are those by the impulses of the solved state. The error is infinite where v* = v⁻
-    but v differs. Raises ValueError on a state that is not solved.
+    The reference velocities v* are those that the impulses of the solved state give. If v* equals v⁻, the velocities
+    without impulses, and v differs, the error is infinite.
+    state: a solved state. start: impulses before the first sweep, (λ_n, λ_t), (m,) each, N·s. sweeps: numbers of sweeps
+    after which the error is measured. Raises ValueError on a state that is not solved.
     """
     check_solution(state)
 
@@ -38,18 +50,20 @@ def velocity_errors(state: State, start: tuple[np.ndarray, np.ndarray], sweeps: 
 
 
 def start_quality(states: Iterable[State], start, *, sweeps: Sequence[int] = SWEEPS) -> dict[str, float]:
-    """Errors of a start's impulses λ₀ against the λ of solved states with contacts, over all states together.
+    """Measure the errors of a start's impulses λ₀ against the solved impulses λ, over all states together.
 
-    Returns a dict with
+    states: solved states with contacts. start: function (state, solver) -> (λ_n, λ_t), N·s. sweeps: numbers of sweeps k
+    after which velocity errors are measured. Returns a dict with
 
     * impulse_error, ‖λ₀ − λ‖ / ‖λ‖;
     * factor, s = λ₀·λ / λ₀·λ₀, by which λ₀ fits best; 0 if λ₀ is zero everywhere;
     * scaled_error, ‖s λ₀ − λ‖ / ‖λ‖;
     * correlation of the normal impulses of λ₀ and λ; 0 if λ₀ is zero everywhere;
-    * velocity_error and velocity_error_k, the means of `velocity_errors` before the first sweep and after k of
-      `sweeps`.
+    * velocity_error and velocity_error_k, the means of `velocity_errors` over the states, before the first sweep and
+      after k sweeps.
 
-    The velocity errors leave out states whose ‖λ‖ is below a thousandth of the median: there v* is v⁻ but for rounding.
+    The means leave out states whose ‖λ‖ is at most a thousandth of the median ‖λ‖. In such states the impulses change
+    the velocities by hardly more than rounding errors.
     """
     pairs, errors = [], []
     for state in states:
@@ -70,11 +84,13 @@ def start_quality(states: Iterable[State], start, *, sweeps: Sequence[int] = SWE
 def held_out_errors(
     states: Iterable[State], starts: Mapping[str, object], *, sweeps: Sequence[int] = SWEEPS
 ) -> dict[str, dict]:
-    """Mean and median velocity errors of several starts on the same states, by phase and for "all", as JSON holds them.
+    """Return the mean and median velocity errors of several starts on the same states, by phase.
 
-    starts: name -> callable of `deep_contact.warm_start`. Returns {"sweeps", "phases": phase -> {"states": number,
-    name -> {"mean", "median"}: one number for each of `sweeps`}}. States without a finite error, in which there is
-    nothing to solve, are left out.
+    states: solved states. starts: name -> function (state, solver) -> (λ_n, λ_t), N·s. sweeps: numbers of sweeps after
+    which the errors are measured. Returns a dict that JSON can hold: {"sweeps": `sweeps`, "phases": phase -> {"states":
+    number of states, name of a start -> {"mean": errors, "median": errors}}}. Each list of errors has one number for
+    each of `sweeps`. The phases are `PHASES` and "all". States in which an error is not finite are left out, because
+    there is nothing to solve in them.
     """
     by_phase: dict[str, list] = {name: [] for name in PHASES}
     for state in states:

@@ -1,22 +1,24 @@
-"""The far-field network: a coarse image of stress that corrects Builtin's start, read at the contacts.
+"""The far-field network: it predicts a coarse image of stress, by which the solver's initial impulses are corrected.
 
-Projected Gauss-Seidel removes errors between neighbours in a few sweeps; errors of the far field need many. The far
-field is smooth, so a coarse image can represent it. The network predicts coefficients c_j (`COEFFICIENTS`) at the nodes
-of a coarse grid. They are read bilinearly at a contact and multiplied by features F_j that the solver knows there
-(normal, effective mass, residual, last impulses):
+The impulses that are corrected are those of the step before, which is called Builtin's start. Projected Gauss-Seidel
+removes differences of the error between neighbouring contacts in a few sweeps. It removes errors that vary over long
+distances, the far field, in many sweeps. The far field is smooth, so a coarse image can represent it. The network
+predicts coefficients c_j (`COEFFICIENTS`) at the nodes of a coarse grid. They are read bilinearly at a contact. There
+they are multiplied by features F_j that the solver knows (normal, effective mass, residual, last impulses):
 
     λ = λ_Builtin + Σ_j c_j F_j
 
-The first four coefficients are a stress tensor S (λ_n = n·S·n, λ_t = t·S·n, with its antisymmetric part), the others
-are gates on Builtin's impulses and on the residuals of the rows.
+The first four coefficients are a stress tensor S, antisymmetric part included: λ_n = n·S·n, λ_t = t·S·n. The other
+coefficients are factors of Builtin's impulses and of the residuals of the rows.
 
-The inputs describe the contact problem: its rows before and after Builtin's impulses, as tensors of the normals, which
-do not depend on the arbitrary sign of a normal. All inputs are divided by the state's own residual (the problem is
-positively homogeneous), and unbounded quantities are compressed by arsinh. The symmetries of the square act exactly.
+The inputs describe the contact problem: the rows' velocities before and after Builtin's impulses are applied. They are
+multiplied by tensors of the normals, which do not depend on the arbitrary sign of a normal. The contact problem is
+positively homogeneous, so all inputs are divided by the state's own residual. Unbounded quantities are compressed by
+arsinh. The rotations by quarter turns and the mirror images of a state give exactly transformed inputs.
 
-An image covers a window: the extent of the contacts, with a margin of one node, so that the network fits any box.
-Lengths are in mean radii; d = 1 is 1 m in the thesis's scene. The network is trained through the solver
-(`through_solver`).
+An image covers a window, which is the extent of the contacts and a margin of one node. So the network can be used in
+any box. Lengths are in mean radii: a node spacing of 1 is 1 m in the thesis's scene. The network is trained through the
+solver (`through_solver`).
 """
 
 from __future__ import annotations
@@ -61,38 +63,54 @@ CONTACT_CHANNELS = (
     ),
     "wall",
 )
-"""Channels that are splatted at the contacts. Parts of a quantity: 1 is its value, xx its value times n_x² − n_y², xy
-its value times 2 n_x n_y. For slip and for tangents the factors are those of t ⊗ n."""
+"""Names of the channels that are splatted at the contacts. The suffix of a quantity's name tells what is splatted.
+
+"1" is the quantity itself. "xx" is the quantity times n_x² − n_y², and "xy" is the quantity times 2 n_x n_y. For slip
+and for tangent quantities, the factors are the components of the symmetric part of t ⊗ n instead.
+"""
 
 BODY_CHANNELS = (
     "bodies",
     *(f"{name}_{when}" for when in ("free", "builtin") for name in ("velocity_x", "velocity_y", "spin")),
 )
-"""Channels that are splatted at the centres: velocities after Δt of gravity, without impulses and with Builtin's."""
+"""Names of the channels that are splatted at the circles' centres.
+
+They are a density and two sets of velocities, both after Δt of gravity: without impulses ("free") and with Builtin's
+impulses ("builtin").
+"""
 
 COEFFICIENTS = tuple(
     "stress_trace stress_xx stress_xy stress_turn builtin_normal_1 builtin_normal_xx builtin_normal_xy builtin_tangent "
     "normal_residual_1 normal_residual_xx normal_residual_xy tangent_residual".split()
 )
-"""The coefficients c_j that the network predicts at a node."""
+"""Names of the coefficients c_j that the network predicts at a node. "turn" is the antisymmetric part of the stress."""
 
 COARSENING = 2
-"""Nodes of the input per node of the output, along an edge."""
+"""Spacing of the output's nodes over the spacing of the input's nodes."""
 
 _SMALL = 1e-2
-"""Share of the carried impulses in the scale of a state, so that the tiny residual of a resting pile is not magnified.
+"""Factor of the root mean square of Builtin's impulses in the scale by which a state's inputs are divided.
+
+The residual of a pile at rest is tiny. Without this term, the division would magnify it.
 """
 
 _ROOM = -(-len(CONTACT_CHANNELS + BODY_CHANNELS) // WIDTH) * WIDTH
-"""Channels of an image while it is painted, a multiple of `WIDTH`; those without a name stay zero."""
+"""Number of channels that are allocated for an image, a multiple of `WIDTH`. Channels without a name stay zero."""
 
 WINDOW_SIDES = (9, 17, 25, 33, 49, 65, 97, 129, 193, 257, 385, 513, 769, 1025)
-"""Numbers of nodes that an edge of a window may have, n = 1 (mod 8): few, as the network is set up for each shape."""
+"""Numbers of nodes that an edge of a window may have. All are 1 (mod 8).
+
+The list is short, because the network is compiled once for each shape of a window.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FarFieldSpec(Spec):
-    """The images of a far-field network. Spacing and support are those of the input, in mean radii."""
+    """The definition of a far-field network's images.
+
+    spacing: distance of neighbouring nodes of the input, in mean radii. support: support radius h of the splat, in mean
+    radii.
+    """
 
     spacing: float = 1.0
     support: float = 1.0
@@ -103,9 +121,10 @@ class FarFieldSpec(Spec):
     removed: ClassVar = {"inputs": "all", "correction": True}
 
     def window(self, low: np.ndarray, high: np.ndarray, radius: float) -> Grid:
-        """The grid of the input around contacts from `low` to `high`, (x, y), m, of circles with the mean `radius`, m.
+        """Return the grid of the input image that covers all contacts of a state.
 
-        The spacing grows where the contacts extend beyond the largest window.
+        low, high: smallest and largest coordinates of the contact points, (x, y), m. radius: mean radius of the
+        circles, m. If the contacts extend beyond the largest window, the grid's spacing is increased until they fit.
         """
         extent = float(max(high[0] - low[0], high[1] - low[1]))
         spacing = max(self.spacing * radius, extent / (WINDOW_SIDES[-1] - 3))
@@ -114,27 +133,31 @@ class FarFieldSpec(Spec):
 
 
 def window_side(cells: float) -> int:
-    """Nodes along an edge of a window whose contacts span `cells` cells, with a margin of one cell on each side."""
+    """Return the number of nodes along an edge of a window, one of `WINDOW_SIDES`.
+
+    cells: extent of the contacts along the edge over the spacing. A margin of one cell is added on each side.
+    """
     return WINDOW_SIDES[min(bisect_left(WINDOW_SIDES, cells + 3.0 - ROUNDING), len(WINDOW_SIDES) - 1)]
 
 
 class Description(NamedTuple):
-    """A state as the input of the far-field network, possibly turned (`symmetry`)."""
+    """A state as the far-field network takes it. For training it may be rotated and mirrored (`description_of`)."""
 
-    image: np.ndarray  # the input, float32, (n_y, n_x, c)
-    grid: Grid  # of the image
-    point: np.ndarray  # contact points, turned, (m, 2), m
-    features: np.ndarray  # F: change of λ_n and λ_t per coefficient, not turned, (m, 12, 2), N·s
-    start: np.ndarray  # the impulses to correct, Builtin's, (m, 2), N·s
+    image: np.ndarray  # the network's input, rotated and mirrored, float32, (n_y, n_x, c)
+    grid: Grid  # the grid of the input image
+    point: np.ndarray  # contact points, rotated and mirrored, (m, 2), m
+    features: np.ndarray  # F: λ_n and λ_t per unit of each coefficient, in the original frame, (m, 12, 2), N·s
+    start: np.ndarray  # the impulses to correct, Builtin's, in the original frame, (m, 2), N·s
 
 
 def description_of(
     state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepProblem | None = None
 ) -> Description:
-    """The description of a state with contacts for the network.
+    """Return the network's description of a state with contacts.
 
-    symmetry: 0 to 7, for training: from 4 on x is mirrored, then `symmetry` mod 4 quarter turns follow. problem: the
-    contact problem in float64 with tangents, if it has been built; its rows hold the impulses to correct.
+    symmetry: number of the symmetry of the square that is applied to the state, 0 to 7, for training. If it is 4 or
+    more, x is mirrored first. Then the state is rotated by `symmetry` mod 4 quarter turns. problem: the contact problem
+    in float64 with tangent rows, if it has been built; its rows hold the impulses to correct.
     Raises ValueError if there is no contact, contacts have not been searched, or the state is not valid.
     """
     state = with_contacts(state) if problem is None else state
@@ -145,7 +168,7 @@ def description_of(
     measured = _measure(
         state.bodies, state.contacts, rows, free, world.box, world.friction, symmetry >= 4, symmetry % 4
     )
-    # Here and not in `_measure`: NumPy's arsinh is vectorised.
+    # NumPy's arsinh is faster than that of compiled code in `_measure`, because it is vectorised.
     np.arcsinh(measured.contact_sizes, out=measured.contact_sizes)
     np.arcsinh(measured.body_sizes, out=measured.body_sizes)
     grid = spec.window(measured.low, measured.high, measured.mean_radius)
@@ -155,7 +178,10 @@ def description_of(
 
 
 def correct(image: np.ndarray, description: Description) -> np.ndarray:
-    """λ = λ_Builtin + Σ c F, (m, 2), N·s, not projected, with the coefficients c read from the network's image."""
+    """Return the corrected impulses λ = λ_Builtin + Σ_j c_j F_j, (m, 2), N·s, not projected on the friction cone.
+
+    image: the network's output, from which the coefficients c are read bilinearly, (rows, columns, 12).
+    """
     node, weight = nodes_of(description, image.shape[:2])
     return _correct(image.reshape(-1, image.shape[2]), node, weight, description.features, description.start)
 
@@ -174,14 +200,19 @@ def _correct(image, node, weight, features, start):
 
 
 def corrected(description: Description, coefficients: np.ndarray) -> np.ndarray:
-    """`correct` with coefficients (m, 12) that have been read already: training reads them in TensorFlow."""
+    """Return the corrected impulses λ = λ_Builtin + Σ_j c_j F_j, (m, 2), N·s, not projected on the friction cone.
+
+    coefficients: c at the contacts, (m, 12). Training reads them from the network's output in TensorFlow.
+    """
     return description.start + np.einsum("ij,ijk->ik", coefficients, description.features)
 
 
 def nodes_of(description: Description, shape: tuple[int, int]):
-    """The four nodes of the flattened output around each contact, (m, 4), and their weights, (m, 4).
+    """Return the indices of the four nodes of the output around each contact, (m, 4), and their weights, (m, 4).
 
-    shape: (rows, columns) of the output. The weights are those of `sph.gather`; a point outside reads the grid's edge.
+    The indices are those of the output image flattened to (rows · columns, 12). The weights are the bilinear ones of
+    `sph.gather`. For a contact outside the grid, the nearest point of the grid is taken. shape: (rows, columns) of the
+    output.
     """
     grid = description.grid
     return _nodes(description.point, (*grid.origin, COARSENING * grid.spacing[0]), shape)
@@ -189,7 +220,10 @@ def nodes_of(description: Description, shape: tuple[int, int]):
 
 @njit(cache=True, error_model="numpy")
 def _nodes(point, geometry, shape):
-    """`nodes_of` for points (m, 2), m. geometry: x and y of the output grid's first node, and its spacing, m."""
+    """Return the nodes and weights of `nodes_of`.
+
+    point: contact points, (m, 2), m. geometry: x and y of the output grid's first node, and the grid's spacing, m.
+    """
     (x0, y0, d), (n_y, n_x), m = geometry, shape, point.shape[0]
     node, weight = np.empty((m, 4), np.int32), np.empty((m, 4), np.float32)
     for k in range(m):
@@ -200,29 +234,37 @@ def _nodes(point, geometry, shape):
 
 
 class _Measured(NamedTuple):
-    """The quantities of `describe`, turned and divided by the state's scale, before unbounded ones are compressed."""
+    """The quantities of which `description_of` makes an image, rotated and mirrored, before the compression by arsinh.
 
-    point: np.ndarray  # (m, 2)
-    normal: np.ndarray  # (m, 2)
-    contact_sizes: np.ndarray  # (m, 4): approach, slip, λ_n, λ_t
-    residual: np.ndarray  # (m, 2)
-    wall: np.ndarray  # (m,)
-    centre: np.ndarray  # (n, 2)
-    body_sizes: np.ndarray  # (n, 6): velocity and spin, without impulses and with Builtin's
-    features: np.ndarray  # (m, 12, 2)
-    low: tuple[float, float]
-    high: tuple[float, float]
-    mean_radius: float
+    Velocities are divided by the state's scale, m/s, and impulses by the scale and the effective mass.
+    """
+
+    point: np.ndarray  # contact points, (m, 2), m
+    normal: np.ndarray  # unit normals, (m, 2)
+    contact_sizes: np.ndarray  # normal and tangent velocity without impulses, and λ_n, λ_t, all scaled, (m, 4)
+    residual: np.ndarray  # scaled change of velocity by one relaxation of the normal and of the tangent row, (m, 2)
+    wall: np.ndarray  # 1 for a contact with a wall or a segment, else 0, (m,)
+    centre: np.ndarray  # centres of the circles, (n, 2), m
+    body_sizes: np.ndarray  # scaled velocity and spin without impulses, then with Builtin's impulses, (n, 6)
+    features: np.ndarray  # `Description.features`, (m, 12, 2), N·s
+    low: tuple[float, float]  # smallest x and y of the contact points, m
+    high: tuple[float, float]  # largest x and y of the contact points, m
+    mean_radius: float  # mean radius of the circles, m
 
 
 @njit(cache=True, error_model="numpy")
 def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
-    """`_Measured` of a state with contacts, its rows and its solver bodies before impulses."""
+    """Return the `_Measured` of a state with contacts.
+
+    rows: the rows of the contacts, with Builtin's impulses. free: the circles' velocities after Δt of gravity without
+    impulses, as `step_problem` returns them. box: (x_min, y_min, x_max, y_max), m. friction: Coulomb's μ. mirrored:
+    whether x is mirrored. turns: number of quarter turns after it.
+    """
     n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
     after = free.copy()
     apply_impulses(rows, after, friction)
 
-    # Change by one relaxation of each row, m/s: 0 where the row is satisfied.
+    # The residual of a row: the change of its velocity by one relaxation, m/s. It is 0 if the row is satisfied.
     residual = np.empty((m, 2))
     unsolved, carried = 0.0, 0.0
     for i in range(m):
@@ -274,7 +316,7 @@ def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
         F[7, 1] = share * p_t
         F[8, 0], F[9, 0], F[10, 0] = unit * r_n, unit * r_n * xx, unit * r_n * xy
         F[11, 1] = k_t * scale * r_t
-        # λ_t has the opposite sign in the mirrored state.
+        # λ_t has the opposite sign in the mirrored state, and F belongs to the original frame.
         F[:, 1] *= sign
 
     centre, moving = np.empty((n, 2)), np.empty((n, 6))
@@ -293,17 +335,18 @@ def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
 
 @njit(cache=True, error_model="numpy")
 def _turned(c, s, x, y):
-    """The vector (x, y) turned by the angle of this cosine and sine."""
+    """Return the vector (x, y) rotated by the angle whose cosine is c and whose sine is s."""
     return c * x - s * y, s * x + c * y
 
 
 @njit(cache=True, error_model="numpy")
 def _paint(image, geometry, h, measured):
-    """Splat `CONTACT_CHANNELS` and `BODY_CHANNELS` as `sph.splat` with poly6 and the normalization "particle" does.
+    """Add the splats of all `CONTACT_CHANNELS` and `BODY_CHANNELS` to an image, in place.
 
-    A particle with no node within h goes to the nearest node. A circle outside the image has no contact and is left
-    out. image: (n_y, n_x, `_ROOM`), float32, written in place. geometry: x and y of its first node, and its spacing, m.
-    measured: `_Measured`, compressed.
+    The splat is that of `sph.splat` with poly6 and the normalization "particle". A particle with no node within h acts
+    on the nearest node. A circle outside the image has no contact and is left out. image: (n_y, n_x, `_ROOM`), float32.
+    geometry: x and y of the image's first node, and the spacing of its nodes, m. h: support radius, m. measured: a
+    `_Measured` whose sizes have been compressed by arsinh.
     """
     n_y, n_x, _ = image.shape
     first = len(CONTACT_CHANNELS)
@@ -316,7 +359,7 @@ def _paint(image, geometry, h, measured):
         rows = (sizes[k, 0], sizes[k, 1]), (residual[k, 0], residual[k, 1]), (sizes[k, 2], sizes[k, 3])
         for j, (along, across) in enumerate(rows):
             values[3 + 6 * j], values[4 + 6 * j], values[5 + 6 * j] = along, along * xx, along * xy
-            # t ⊗ n with t = (n_y, -n_x): its symmetric part has xx = 2 n_x n_y, xy = n_y² − n_x².
+            # The factors are the symmetric part of t ⊗ n with t = (n_y, −n_x): xx = 2 n_x n_y, xy = n_y² − n_x².
             values[6 + 6 * j], values[7 + 6 * j], values[8 + 6 * j] = across, across * xy, -across * xx
         values[first - 1] = measured.wall[k]
         _add(image, geometry, h, measured.point[k], values, 0, (first - 1) // WIDTH + 1)
@@ -333,9 +376,11 @@ def _paint(image, geometry, h, measured):
 
 @njit(cache=True, error_model="numpy")
 def _add(image, geometry, h, point, values, begin, end):
-    """Splat a particle's values into `image`, in place: their vectors of `WIDTH` channels from `begin` to `end`.
+    """Add the splat of one particle's values to `image`, in place.
 
-    `sph.splat` would take many times as long: it writes float64, knows all kernels and checks its arguments.
+    geometry, h: as for `_paint`. point: position of the particle, (x, y), m. values: one number for each of the `_ROOM`
+    channels. begin, end: half-open range of the vectors of `WIDTH` channels that are added. `sph.splat` would take many
+    times as long: it writes float64, knows all kernels and checks its arguments.
     """
     (x0, y0, d), (n_y, n_x, _) = geometry, image.shape
     x, y = point[0] - x0, point[1] - y0
@@ -361,6 +406,9 @@ def _add(image, geometry, h, point, values, begin, end):
 
 @njit(cache=True, error_model="numpy")
 def _weight(x, y, h):
-    """(1 − (r / h)²)³: poly6 but for its constant, which the normalisation divides out."""
+    """Return (1 − (r / h)²)³ at the vector (x, y) of length r, or 0 for r >= h.
+
+    This is poly6 without its constant factor, which the normalisation by particle cancels.
+    """
     q = 1.0 - (x * x + y * y) / (h * h)
     return q * q * q if q > 0.0 else 0.0

@@ -1,8 +1,9 @@
-"""States as images for a network, and a network's image back as impulses: `input_image`, `label_image`, `read_back`.
+"""Images of states, as the input and the labels of a network, and impulses that are read from a network's image.
 
-An image is a splat by `deep_contact.sph`: (n_y, n_x, channels), row 0 at y_min, float32. An `ImageSpec` defines it and
-is stored with the model as JSON. Bodies and contacts are splatted with the same kernel and support radius; a channel of
-contacts is 0 where there are none.
+`input_image` and `label_image` make images, and `read_back` reads impulses from an image. An image is a splat by
+`deep_contact.sph`: (n_y, n_x, channels), row 0 at y_min, float32. An `ImageSpec` defines it, and is stored with the
+model as JSON. Bodies and contacts are splatted with the same kernel and support radius. A channel of contacts is 0 at
+nodes with no contact within the support radius.
 """
 
 from __future__ import annotations
@@ -20,24 +21,28 @@ from deep_contact.state.validation import number
 from deep_contact.state.world import World
 from deep_contact.stepping.prepare import ready
 
-# A particle without a node within h goes to the nearest node, and a particle outside the box to the edge of the box.
-# The contact with a wall lies outside by a part of its penetration: without a node its impulse would be lost.
+# Options of `splat` and `gather`. A particle with no node within h acts on the nearest node. A particle outside the box
+# is moved to the box's edge: a contact point at a wall lies outside by half of the penetration, and its impulse could
+# be lost otherwise.
 _REACH = {"normalization": "particle", "unreached": "nearest", "outside": "clamp"}
 
 CHANNELS = ("mass", "velocity_x", "velocity_y", "spin", "normal_x")
-"""The five inputs of the thesis's network: mass, velocity before gravity and spin of the bodies, kg, m/s, rad/s; n_x of
-the contacts."""
+"""The five input channels of the thesis's network.
+
+They are the bodies' mass, kg, velocity, m/s, and spin, rad/s, and the x component of the contacts' unit normal.
+Velocity and spin are those before the step's gravity is applied.
+"""
 
 TARGETS = ("normal_impulse", "tangent_impulse")
-"""The two outputs of the thesis's network, N·s."""
+"""The two output channels of the thesis's network: normal and tangent impulse of the contacts, N·s."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Spec:
-    """The definition of a network's images; model files hold it as JSON.
+    """The definition of a network's images, which model files store as JSON.
 
-    spacing: distance of neighbouring nodes. support: h of the splat, in the unit of the spacing. Raises ValueError
-    naming the field and the value.
+    spacing: distance of neighbouring nodes. support: support radius h of the splat, in the same unit. channels,
+    targets: names of the input and output channels. Raises ValueError naming the field and the value.
     """
 
     spacing: float
@@ -46,23 +51,23 @@ class Spec:
     channels: ClassVar[tuple[str, ...]]
     targets: ClassVar[tuple[str, ...]]
     multiple: ClassVar[int] = 1
-    """The network takes n = 1 (mod multiple) nodes along an edge."""
+    """The network takes images whose number of nodes along an edge is 1 (mod multiple)."""
     constants: ClassVar[dict] = {}
-    """Field of a file that is no field of the dataclass -> its value."""
+    """Entries of the JSON object that are not fields of the dataclass: name -> the only allowed value."""
     removed: ClassVar[dict] = {}
-    """Field of files of earlier versions -> the only value that is still read."""
+    """Entries that files of earlier versions have: name -> the only value with which a file is still read."""
 
     def __post_init__(self):
         for name in ("spacing", "support"):
             object.__setattr__(self, name, number(name, getattr(self, name), above=0))
 
     def to_dict(self) -> dict:
-        """All fields as JSON knows them; `from_dict` gives the same spec to the last bit."""
+        """Return all fields as a dict that JSON can hold. `from_dict` makes the same spec of it, bit by bit."""
         return self.constants | asdict(self)
 
     @classmethod
     def from_dict(cls, values: dict):
-        """The spec with the fields of `to_dict`. Raises ValueError for missing, unknown, bad and outdated fields."""
+        """Return the spec for a dict of `to_dict`. Raises ValueError for missing, unknown, bad and outdated fields."""
         names, only = {field.name for field in fields(cls)}, cls.constants | cls.removed
         if not isinstance(values, dict) or set(values) - only.keys() != names:
             got = sorted(values) if isinstance(values, dict) else values
@@ -76,7 +81,10 @@ class Spec:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageSpec(Spec):
-    """The definition of an image: a particle-normalised splat by poly6. Lengths are in m, by default the thesis's."""
+    """The definition of an image: a splat with the kernel poly6, normalised by particle. The defaults are the thesis's.
+
+    spacing: distance of neighbouring nodes, m. support: support radius h of the splat, m.
+    """
 
     spacing: float = 0.5
     support: float = 0.5
@@ -87,28 +95,31 @@ class ImageSpec(Spec):
     removed |= {"scale_free": False, "scales": [1.0] * len(CHANNELS), "target_scales": [1.0] * len(TARGETS)}
 
     def grid(self, world: World) -> Grid:
-        """The grid over a world's box."""
+        """Return the grid that covers a world's box."""
         return _grid_over(tuple(world.box), self.spacing)
 
     def shape(self, world: World) -> tuple[int, int]:
-        """(n_y, n_x) of the images of this world's states."""
+        """Return (n_y, n_x), the nodes of an image of a state in this world."""
         return self.grid(world).shape
 
     def splat(self, world: World, places: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """The image of particles at places (k, 2) with values (k, channels), float32."""
+        """Return the image of some particles, (n_y, n_x, channels), float32.
+
+        places: positions of the particles, (k, 2), m. values: (k, channels).
+        """
         return splat(self.grid(world), places, values, h=self.support, **_REACH).astype(np.float32)
 
 
 @lru_cache(maxsize=16)
 def _grid_over(box: tuple[float, ...], spacing: float) -> Grid:
-    """`Grid.over_box`, computed once for each box: its checks take as long as the splat."""
+    """Return `Grid.over_box(box, spacing)` from a cache, because the checks of a new `Grid` take as long as a splat."""
     return Grid.over_box(box, spacing)
 
 
 def input_image(state: State, spec: ImageSpec) -> np.ndarray:
-    """The network's input, float32, (n_y, n_x, 5): see `CHANNELS`.
+    """Return the network's input image of a state, (n_y, n_x, 5), float32, with the channels `CHANNELS`.
 
-    Raises ValueError where the state has no contacts yet, or holds what is not finite.
+    Raises ValueError if the state's contacts have not been searched, or if a number in the state is not finite.
     """
     state = with_contacts(state)
     bodies, contacts = state.bodies, state.contacts
@@ -118,9 +129,9 @@ def input_image(state: State, spec: ImageSpec) -> np.ndarray:
 
 
 def label_image(state: State, spec: ImageSpec) -> np.ndarray:
-    """The image of the impulses that a solved state holds, float32, (n_y, n_x, 2), N·s.
+    """Return the image of the impulses of a solved state, (n_y, n_x, 2), float32, N·s.
 
-    Raises ValueError where the state has not been solved.
+    Raises ValueError if the state has not been solved.
     """
     check_solution(state)
     contacts = native(state).contacts
@@ -129,10 +140,11 @@ def label_image(state: State, spec: ImageSpec) -> np.ndarray:
 
 
 def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, np.ndarray]:
-    """Impulses (normal, tangent) at the contacts from a network's image, (m,) each, N·s.
+    """Return the impulses (λ_n, λ_t) at the contacts, (m,) each, N·s, read from a network's image.
 
-    image: (n_y, n_x, 2), N·s, which is read bilinearly (Algorithm 4). Nothing is projected on the friction cone here.
-    Raises ValueError where the image does not fit the spec, or is not finite around a contact.
+    The image is read bilinearly (Algorithm 4). The impulses are not projected on the friction cone.
+    image: (n_y, n_x, 2), N·s. Raises ValueError if the image does not have the shape of the spec, or is not finite
+    around a contact.
     """
     state, pixels = with_contacts(state), np.asarray(image, dtype=np.float64)
     expected = (*spec.shape(state.world), len(spec.targets))
@@ -144,7 +156,10 @@ def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, np.ndar
 
 
 def with_contacts(state: State) -> State:
-    """The state, checked. Raises ValueError where its contacts have not been searched, or it is not valid."""
+    """Return the state, checked and with arrays for compiled code.
+
+    Raises ValueError if its contacts have not been searched, or if the state is not valid.
+    """
     if state.contacts is None:
         raise ValueError("state.contacts: expected contacts, got None; `dc.find_contacts(state)` finds them")
     return ready(state)

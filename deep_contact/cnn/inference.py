@@ -1,7 +1,7 @@
-"""A trained network at work: `load_model` and `LearnedModel.predict`, which the starts of `cnn.start` call.
+"""Inference with trained networks: `load_model` and `LearnedModel.predict`, which the starts of `cnn.start` call.
 
-The far-field network runs in Numba (`cnn.convolution`) from the weights in its file. Keras and TensorFlow are imported
-only for networks on images, and for `LearnedModel.network`.
+The far-field network runs in Numba (`cnn.convolution`) with the weights of its file. Keras and TensorFlow are imported
+only for networks on images, and for the attribute `LearnedModel.network`.
 """
 
 from __future__ import annotations
@@ -29,16 +29,17 @@ from deep_contact.stepping.problem import StepProblem
 from deep_contact.stepping.rows import projected
 
 _compiling = RLock()
-"""Lock of the thread that builds or traces a network, while others wait for the result."""
+"""Lock that a thread holds while it builds or compiles a network. Other threads wait for the result."""
 
 
 def load_model(path=None) -> LearnedModel:
-    """The model of a file, or of a name in `models/registry.json`: "model", "far field", "far field, no past".
+    """Read a trained network from a model file, and return it as a `LearnedModel`.
 
-    The default is "model", the thesis's network, for the thesis's box of 30 m × 30 m. It needs Keras. The far-field
-    networks need no Keras, and take any box. No code in the file is run. Raises FileNotFoundError where there is no
-    file, ModuleNotFoundError where Keras is needed and missing, and `ModelFileError` (a ValueError) where the file is
-    damaged, foreign or changed, naming the field.
+    path: path of the file, or a name in `models/registry.json`, which has "model", "far field" and "far field, no
+    past". The default is "model", our copy of the thesis's network. It takes the thesis's box of 30 m × 30 m only, and
+    needs Keras. The far-field networks take any box, and do not need Keras. No code in the file is run.
+    Raises FileNotFoundError if there is no file, ModuleNotFoundError if Keras is needed and missing, and
+    `ModelFileError` (a ValueError) naming the field if the file is damaged, changed or not of this package.
     """
     path = network_file(path)
     network, spec, metadata = read_model(path)
@@ -48,7 +49,7 @@ def load_model(path=None) -> LearnedModel:
 
 
 class Card(dict):
-    """The origin of a network and its measured errors. Printing a card cuts long entries; `dict(card)` has all."""
+    """The origin and the measured errors of a network. Printing a card shortens long entries; `dict(card)` does not."""
 
     def __repr__(self) -> str:
         texts = ((name, repr(value)) for name, value in self.items())
@@ -58,17 +59,19 @@ class Card(dict):
 @by_value
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class LearnedModel:
-    """A network and what is needed to use it: from a state to the impulses at its contacts.
+    """A network that predicts the impulses at the contacts of a state.
 
-    `predict` goes all the way. `input` and `impulses` are its two ends, for any Keras model between them:
+    `predict` makes the prediction in one call. `input` and `impulses` are its first and its last step, for use with
+    another Keras model in between:
 
         x = net.input(state)
         y = keras_model(x[None])
         normal, tangent = net.impulses(state, y)
 
-    source: the network, any `keras.Model` with the spec's channels and targets; a far-field network as its file holds
-    it. spec: the definition of its images. card: its origin and its errors. box: (width, height) of the only box that a
-    network of fixed size takes, m, or None. path: the file that it was read from, or None.
+    source: the network. It is any `keras.Model` with the spec's channels and targets, or a `StoredNetwork` for a
+    far-field network. spec: the definition of the network's images. card: the network's origin and errors. box: (width,
+    height) of the only box that a network of fixed size takes, m, or None. path: path of the file from which the
+    network was read, or None.
     """
 
     source: object
@@ -87,26 +90,26 @@ class LearnedModel:
 
     @cached_property
     def network(self):
-        """The network as a `keras.Model`, built on first use."""
+        """The network as a `keras.Model`, which is built when this attribute is first read."""
         with _compiling:
             if not isinstance(self.source, StoredNetwork):
                 return self.source
             return vars(self).get("network") or self.source.build()
 
     def input(self, state: State) -> np.ndarray:
-        """The image that the network takes, (n_y, n_x, channels), float32.
+        """Return the network's input image for a state, (n_y, n_x, channels), float32.
 
-        Raises ModelFileError where the network does not fit the scene, ValueError where contacts have not been
-        searched.
+        Raises ModelFileError if the network does not take the state's box, and ValueError if the state's contacts have
+        not been searched.
         """
         return self.seen(state)[0]
 
     def impulses(self, state: State, output, *, project: bool = True) -> tuple[np.ndarray, np.ndarray]:
-        """(λ_n, λ_t) at the state's contacts, (m,) each, N·s, from a network's output for `input(state)`.
+        """Return (λ_n, λ_t) at the state's contacts, (m,) each, N·s, from a network's output for `input(state)`.
 
-        output: (n_y, n_x, targets), flat or not, with or without a batch of one. project: whether the impulses are
-        projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n. Raises ValueError naming the shape that was expected and the one that
-        came.
+        output: the network's output, (n_y, n_x, targets). It may be flattened, and may have a batch dimension of size
+        1. project: whether the impulses are projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n. Raises ValueError naming the
+        expected shape and the shape of `output`.
         """
         image, read = self.seen(state)
         shape, pixels = self._output_shape(image.shape), np.asarray(output, np.float32)
@@ -125,11 +128,11 @@ class LearnedModel:
     ) -> list[tuple[np.ndarray, np.ndarray]]: ...
 
     def predict(self, state, *, project=True, problem=None):
-        """(λ_n, λ_t) at the state's contacts, (m,) each, N·s; for several states, a list of such pairs.
+        """Predict the impulses (λ_n, λ_t) at a state's contacts, (m,) each, N·s.
 
-        project: whether the impulses are projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n. problem: the result of
-        `step_problem(state)`, if it has been computed; a far-field network corrects the impulses of its rows. Raises
-        the errors of `input`.
+        state: a `State`, or several states, for which a list of pairs (λ_n, λ_t) is returned. project: whether the
+        impulses are projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n. problem: the result of `step_problem(state)`, if it has
+        been computed; a far-field network corrects the impulses of its rows. Raises the errors of `input`.
         """
         if not isinstance(state, State):
             states = list_of("state", State, state)
@@ -140,14 +143,15 @@ class LearnedModel:
         return _cut(read(self.run(image)), state, project)
 
     def predict_image(self, state: State) -> np.ndarray:
-        """The predicted image of impulses, or of a far-field network's coefficients: `run` of `input`."""
+        """Return the network's output image for a state: impulses, N·s, or the coefficients of a far-field network."""
         return self.run(self.input(state))
 
     def run(self, image: np.ndarray) -> np.ndarray:
-        """The network alone: image (n_y, n_x, channels) to image (n_y, n_x, targets), float32.
+        """Return the network's output image for an input image, (n_y, n_x, targets), float32.
 
-        A far-field network takes n = 1 (mod 8) nodes a side, and returns (rows, columns, 12), at every second node.
-        Raises ValueError naming the shape that was expected and the one that came.
+        image: (n_y, n_x, channels). For a far-field network n_y and n_x have to be 1 (mod 8), and the output is at
+        every second node, ((n_y + 1) / 2, (n_x + 1) / 2, 12). Raises ValueError naming the expected shape and that of
+        `image`.
         """
         image = np.asarray(image, np.float32)
         if image.shape not in self._compiled:
@@ -159,7 +163,7 @@ class LearnedModel:
         return self._compiled[image.shape](image)
 
     def seen(self, state, problem=None):
-        """The network's input for a state, and the function from its output to (λ_n, λ_t)."""
+        """Return the network's input image for a state, and the function that turns its output into (λ_n, λ_t)."""
         self._check_scene(state)
         return input_image(state, self.spec), lambda image: read_back(image, state, self.spec)
 
@@ -170,11 +174,15 @@ class LearnedModel:
         return (*shape[:2], len(self.spec.targets))
 
     def _compile(self, shape, output):
-        """The network for images of this shape, traced once, without the overhead of `keras.Model.predict`."""
+        """Return a function (input image) -> output image, for images of one shape.
+
+        TensorFlow traces the network once for it. So a call does not have the overhead of `keras.Model.predict`. shape:
+        of the input image. output: shape of the output image.
+        """
         from deep_contact.cnn.backend import tensorflow as tf
 
         traced = tf.function(lambda image: self.network(image, training=False))
-        # The concrete function skips the look-up by signature, a tenth of the time of a small network.
+        # A concrete function does not look up the signature, which would take a tenth of a small network's time.
         concrete = traced.get_concrete_function(tf.TensorSpec((1, *shape), tf.float32))
         return lambda image: concrete(tf.constant(image[None])).numpy().reshape(output)
 
@@ -190,7 +198,7 @@ class LearnedModel:
             raise ModelFileError(f"shape: expected images of {size} nodes, the network's only size, got {shape}")
 
     def describe(self) -> dict[str, str]:
-        """The model's file, architecture and size, its input and its output, in words."""
+        """Return a text for each property of the model: its file, architecture, size, input and output."""
         return {
             "model": "not in a file" if self.path is None else self.path.name,
             "architecture": str(self.card.get("architecture", "unknown")),
@@ -208,9 +216,10 @@ class LearnedModel:
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class FarFieldModel(LearnedModel):
-    """A far-field network (`cnn.far_field`), whose prediction corrects Builtin's start, which the state holds.
+    """A far-field network (`cnn.far_field`), which corrects the impulses of the step before that a state carries.
 
-    A state without impulses of a step before gets a warning: `warm_start.FarFieldNoPast` predicts from positions alone.
+    `predict` warns if the contacts of a state carry no such impulses. For such states `warm_start.FarFieldNoPast`
+    predicts impulses from positions alone.
     """
 
     def predict(self, state, *, project=True, problem=None) -> Any:
@@ -235,7 +244,10 @@ class FarFieldModel(LearnedModel):
 
 
 def ends(spec: ImageSpec | FarFieldSpec, box=None) -> dict[str, str]:
-    """Input and output of a network with this spec, in words."""
+    """Return a description of a network's input ("takes") and output ("gives") in words.
+
+    box: (width, height) of the only box that the network takes, m, or None.
+    """
     sides, gives = "any number of nodes a side", f"images of {', '.join(spec.targets)}"
     if isinstance(spec, FarFieldSpec):
         sides, gives = "n = 8 k + 1 nodes a side", f"{len(spec.targets)} coefficients at every second node"
@@ -245,13 +257,19 @@ def ends(spec: ImageSpec | FarFieldSpec, box=None) -> dict[str, str]:
 
 
 def _cut(impulses, state: State, project: bool) -> tuple[np.ndarray, np.ndarray]:
-    """(λ_n, λ_t) as arrays of their own, projected on the friction cone if `project`."""
+    """Return (λ_n, λ_t) as contiguous arrays, (m,) each, N·s, projected on the friction cone if `project` is true.
+
+    impulses: λ_n and λ_t, (2, m), N·s.
+    """
     normal, tangent = (np.ascontiguousarray(row) for row in impulses)
     return projected(normal, tangent, state.world.friction) if project else (normal, tangent)
 
 
 def model_of(model: LearnedModel | str | Path | None) -> LearnedModel:
-    """The model itself, or that of a name or file as for `load_model`. A file is read again only if it has changed."""
+    """Return a `LearnedModel`. model: the model itself, or a name or path as for `load_model`.
+
+    A file is read again only if its time of change or its size has changed.
+    """
     if isinstance(model, LearnedModel):
         return model
     path = network_file(model)

@@ -1,8 +1,11 @@
-"""Model files: a Keras network in .h5 together with all that is needed to use it; models/README.md has the format.
+"""Model files: HDF5 files (.h5) with a Keras network and the metadata that its use needs.
 
-A file is read by h5py. Only stock layers of a short list are accepted, and of each layer only the arguments that shape
-it (`_ARGUMENTS`): every Keras from 3.4 on knows these, and nothing else of the file reaches Keras. There is no pickle,
-no Lambda, no link to another file. The digest detects damage, not malice.
+models/README.md describes the format. Files are read by h5py. Only stock Keras layers of a short list are accepted, and
+only those of their arguments that define the layer's function (`_ARGUMENTS`). All versions of Keras from 3.4 on know
+these arguments. Nothing else of the configuration in a file is passed to Keras. Pickled objects, Lambda layers and
+links to other files are refused. The digest in a file detects damage, but not a deliberate change.
+
+Tests: tests/cnn/test_inference.py, tests/io/test_hostile.py, tests/cnn/test_training.py
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from deep_contact.state.validation import expect
 
 FORMAT = 1
 METADATA = "deep_contact"
-"""Name of the dataset with our metadata."""
+"""Name of the dataset in a file that holds the metadata as JSON."""
 
 _FIELDS = ("format", "spec", "coarsening", "box", "card", "digest")
 
@@ -34,40 +37,46 @@ _LAYERS = frozenset(
     "Add BatchNormalization Conv2D Conv2DTranspose Cropping2D Dense Dropout Flatten InputLayer MaxPooling2D ReLU "
     "ZeroPadding2D".split()
 )
-"""Layers that a file may hold: those of `architectures`."""
+"""Names of the layers that a file may hold. They are those of `architectures`."""
 
 _ARGUMENTS = frozenset(
     "activation axis batch_shape bias_regularizer center cropping data_format dilation_rate epsilon filters groups "
     "kernel_regularizer kernel_size max_value momentum name negative_slope output_padding padding pool_size rate scale "
     "strides threshold units use_bias".split()
 )
-"""The layers' arguments that are kept. Initializers are not: they change most between versions, and weights replace
-them."""
+"""Names of the layers' arguments that are stored and read.
+
+Initializers are left out. They differ most between versions of Keras, and the stored weights replace their results.
+"""
 
 _NETWORKS = {"Functional": ("name", "input_layers", "output_layers"), "Sequential": ("name",)}
-"""Kind of network -> fields of its configuration that are kept beside the layers."""
+"""Keras class of a network -> fields of its configuration that are stored beside the layers."""
 
 _ACTIVATIONS = (None, "linear", "relu", "tanh")
 
 
 class ModelFileError(FileError):
-    """A fault of a model file, or a network that does not fit the scene; the message names the field."""
+    """Error for a faulty model file, and for a network that does not fit the scene. The message names the field."""
 
 
 @by_value
 class StoredNetwork(NamedTuple):
-    """A network as a file holds it. config: Keras's, checked and reduced. weights: layer -> arrays, float32."""
+    """The network of a model file, not yet built by Keras.
+
+    path: path of the file. config: Keras's configuration, checked and reduced by `portable`. weights: name of a layer
+    -> its arrays, float32.
+    """
 
     path: Path
     config: dict
     weights: dict[str, list[np.ndarray]]
 
     def count_params(self) -> int:
-        """Number of weights, as `keras.Model` has it."""
+        """Return the number of weights, as the method of `keras.Model` with this name does."""
         return sum(array.size for arrays in self.weights.values() for array in arrays)
 
     def build(self):
-        """The network as a `keras.Model`. Raises ModelFileError where layers and weights do not fit each other."""
+        """Build the network as a `keras.Model`. Raises ModelFileError if its layers and weights do not fit together."""
         from deep_contact.cnn.backend import keras
 
         try:
@@ -78,19 +87,19 @@ class StoredNetwork(NamedTuple):
             if unused := self.weights.keys() - {layer.name for layer in model.layers}:
                 raise ValueError(f"there are weights of {sorted(unused)} and no such layers")
         except Exception as error:
-            # Keras raises what it happens to meet: TypeError, KeyError, IndexError …
+            # Keras does not check its input. So faults raise errors of any class, such as TypeError or KeyError.
             raise ModelFileError(f"{self.path}: model_config: Keras cannot build the network ({error})") from error
         return model
 
 
 def _in_single_precision(config: dict) -> dict:
-    """A configuration whose layers compute in float32, whatever Keras's global policy is."""
+    """Return the configuration with layers that compute in float32, whatever Keras's global policy is."""
     layers = [layer | {"config": layer["config"] | {"dtype": "float32"}} for layer in config["layers"]]
     return config | {"layers": layers}
 
 
 def weights_of(network) -> dict[str, list[np.ndarray]]:
-    """Layer -> its arrays, of a `StoredNetwork` or a `keras.Model`."""
+    """Return the weights of a network: name of a layer -> its arrays. network: a `StoredNetwork` or a `keras.Model`."""
     if isinstance(network, StoredNetwork):
         return network.weights
     return {layer.name: layer.get_weights() for layer in network.layers}
@@ -99,10 +108,11 @@ def weights_of(network) -> dict[str, list[np.ndarray]]:
 def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=None) -> Path:
     """Write a `keras.Model` and its metadata to a file, completely or not at all. Returns the path.
 
-    card: anything that JSON holds. box: the world's box that a network of fixed size was made for,
-    (x_min, y_min, x_max, y_max), m.
-    Raises ValueError where the network does not fit the spec, or has layers that a model file may not hold, and OSError
-    where the file cannot be written.
+    path: path of the file. model: the network. spec: the definition of its images. card: dict that JSON can hold, with
+    the network's origin and errors. box: the world's box for which a network of fixed size was made, (x_min, y_min,
+    x_max, y_max), m.
+    Raises ValueError if the network does not fit the spec, or has layers that a model file may not hold. Raises OSError
+    if the file cannot be written.
     """
     from deep_contact.cnn.backend import keras
 
@@ -111,7 +121,7 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=N
     metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": spec.multiple, "box": size, "card": card}
     config = json.dumps(portable(json.loads(model.to_json())))
     _check_fit(model, weights, spec, size)
-    # In memory first: on a full disk HDF5 can end the process, while a plain write raises OSError.
+    # The file is made in memory first. On a full disk HDF5 can end the process, while a plain write raises OSError.
     content = io.BytesIO()
     with h5py.File(content, "w") as file:
         group = file.create_group("model_weights")
@@ -131,14 +141,19 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=N
 
 
 def read_metadata(path) -> dict:
-    """The metadata of a model file, checked against its contents, without Keras. Errors as for `read_model`."""
+    """Return the metadata of a model file after a check of its digest, without Keras.
+
+    Raises the errors of `read_model`.
+    """
     return _read(Path(path))[2]
 
 
 def read_model(path):
-    """(network, spec, metadata) of a model file. network: a `keras.Model`; a far-field network is a `StoredNetwork`.
+    """Read a model file. Returns (network, spec, metadata).
 
-    Raises FileNotFoundError where there is no file, ModelFileError where it is no complete model file of this package.
+    The network is a `StoredNetwork` if it is a far-field network, otherwise a `keras.Model`. The spec is the definition
+    of its images. Raises FileNotFoundError if there is no file, and ModelFileError if it is not a complete model file
+    of this package.
     """
     network, spec, metadata = _read(Path(path))
     model = network if isinstance(spec, FarFieldSpec) else network.build()
@@ -150,7 +165,7 @@ def read_model(path):
 
 
 def spec_of(metadata: dict) -> ImageSpec | FarFieldSpec:
-    """The spec in the metadata of a file. Raises ValueError naming the field where they hold none."""
+    """Return the spec in the metadata of a file. Raises ValueError naming the field if they have no valid spec."""
     kind = FarFieldSpec if metadata["spec"].get("kind") == "far field" else ImageSpec
     spec, multiple = kind.from_dict(metadata["spec"]), metadata["coarsening"]
     expect(multiple == spec.multiple, f"coarsening: expected {spec.multiple}, got {multiple!r}")
@@ -158,9 +173,9 @@ def spec_of(metadata: dict) -> ImageSpec | FarFieldSpec:
 
 
 def _check_fit(model, weights: dict, spec: ImageSpec | FarFieldSpec, box) -> None:
-    """Raise ValueError unless the network takes the spec's images and gives its targets.
+    """Raise ValueError unless the network's input and output have the channels and targets of the spec.
 
-    A far-field network is judged by its weights, any other by the shapes of its `keras.Model`.
+    For a far-field network the shapes of its weights are checked, for any other the shapes of its `keras.Model`.
     """
     if isinstance(spec, FarFieldSpec):
         expected = "expected the layers of architectures.far_field"
@@ -177,13 +192,13 @@ def _check_fit(model, weights: dict, spec: ImageSpec | FarFieldSpec, box) -> Non
     expect(fits, f"box: expected [width, height] for a network of {inputs[1:3]} nodes, got none")
 
 
-# ---- Keras's configuration, reduced to what every version reads ----
+# ---- Keras's configuration, reduced to the fields that every supported version of Keras reads ----
 
 
 def portable(config) -> dict:
-    """A network's configuration reduced to what every supported version of Keras reads.
+    """Return a network's configuration, reduced to the fields that every supported version of Keras reads.
 
-    Raises ValueError unless it consists of stock parts of the lists above.
+    Raises ValueError unless all its layers and activations are in the lists at the top of this module.
     """
     kind, inner = _class_and_config(config, "model_config")
     expect(kind in _NETWORKS, f"model_config: expected one of {', '.join(_NETWORKS)}, got {kind!r}")
@@ -202,7 +217,10 @@ def _class_and_config(part, where: str) -> tuple:
 
 
 def _layer(layer, where: str) -> dict:
-    """A layer with only the arguments that shape it."""
+    """Return a layer's configuration with the arguments of `_ARGUMENTS` only.
+
+    where: place of the layer in the configuration, for messages. Raises ValueError unless it is a layer of `_LAYERS`.
+    """
     (kind, config), module = _class_and_config(layer, where), layer.get("module", "keras.layers")
     stock = kind in _LAYERS and module == "keras.layers" and layer.get("registered_name") in (None, kind)
     expected = "a stock Keras layer of the list, no custom or Lambda layer"
@@ -214,7 +232,10 @@ def _layer(layer, where: str) -> dict:
 
 
 def _check_parts(value, where: str) -> None:
-    """Raise ValueError where arguments hold classes other than Keras's L2, or other activations."""
+    """Raise ValueError if a layer's arguments contain a class other than Keras's L2, or an unknown activation.
+
+    value: the arguments, or a part of them. where: place of the layer in the configuration, for messages.
+    """
     if isinstance(value, dict):
         kind, module = value.get("class_name"), value.get("module")
         stock = module == "keras.regularizers" and kind == "L2" and not value.get("registered_name")
@@ -230,7 +251,7 @@ def _check_parts(value, where: str) -> None:
 
 
 def _read(path: Path) -> tuple[StoredNetwork, ImageSpec | FarFieldSpec, dict]:
-    """The network, the spec and the metadata of a file, checked against its digest."""
+    """Return the network, the spec and the metadata of a file, after a check of its digest."""
     if not path.exists():
         raise FileNotFoundError(f"model file: {path} does not exist")
     with hdf5.opened(path, ModelFileError) as file:
@@ -277,13 +298,16 @@ def _metadata(file) -> dict:
 
 
 def _datasets(group) -> dict[str, np.ndarray]:
-    """Name -> array of every dataset below a group, ordered by name. Raises ValueError beyond the size of the file."""
+    """Return all datasets below a group: name -> array, ordered by name.
+
+    Raises ValueError if the arrays would be larger than the file.
+    """
     arrays = hdf5.read(hdf5.datasets(group), group.file.id.get_filesize())
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()}
 
 
 def _digest(config, datasets: dict[str, np.ndarray], metadata: dict) -> str:
-    """SHA-256 over the configuration, every dataset of the weights by name, and the metadata without the digest."""
+    """Return the SHA-256 of the configuration, the weights with their names, and the metadata without "digest"."""
     sha = hashlib.sha256(config if isinstance(config, bytes) else str(config).encode())
     for name, array in datasets.items():
         sha.update(f"{name} {array.dtype} {array.shape}".encode())

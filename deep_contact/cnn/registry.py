@@ -1,4 +1,7 @@
-"""Trained networks by name: `models/registry.json` says which file each is, its SHA-256, and how it was trained."""
+"""Trained networks by name. `models/registry.json` has the file, the SHA-256 and the training command of each network.
+
+Tests: tests/cnn/test_inference.py, tests/io/test_hostile.py
+"""
 
 from __future__ import annotations
 
@@ -13,22 +16,23 @@ from deep_contact.io.shipped import ROOT
 from deep_contact.state.validation import brief, expect
 
 FOLDER = "DEEP_CONTACT_MODELS"
-"""Environment variable: a folder that is searched before the shipped `models/`."""
+"""Name of the environment variable for a folder that is searched for models before the shipped folder `models/`."""
 
 RENAMED = {"no_past": "far field, no past", "thesis_factored": "model"}
-"""Name of a network in earlier versions -> its name now."""
+"""Name of a network in earlier versions -> its present name."""
 
 
 OWN = "LearnedModel(source=keras.models.load_model(…), spec=ImageSpec(…)) of deep_contact.cnn takes your own network"
-"""Hint of error messages for a network that Keras has made."""
+"""Hint in error messages for users who have a Keras network of their own."""
 
 
 def network_file(model=None) -> Path:
-    """A model file by its name in the registry (default "model"), or by its path from the current folder or `ROOT`.
+    """Return the path of a model file.
 
-    A path "models/x.h5" that does not exist stands for the registered file "x.h5". Raises FileNotFoundError where there
-    is no such file, ValueError for a name of an earlier version, and ModelFileError where the file of a registered name
-    has another SHA-256 than the registry says.
+    model: a name in the registry, by default "model", or a path relative to the current folder or to `ROOT`. If there
+    is no file at a path "models/x.h5", the registered file "x.h5" is taken. Raises FileNotFoundError if there is no
+    such file, ValueError for a name of an earlier version, and ModelFileError if the SHA-256 of a registered file is
+    not the registered one.
     """
     is_name = model is None or isinstance(model, (str, os.PathLike))
     expect(is_name, f"model: expected a name or the path of a file of this package, got {brief(model)}; {OWN}")
@@ -60,9 +64,10 @@ def network_file(model=None) -> Path:
 
 
 def registered() -> dict[str, dict]:
-    """Name -> {"file": path below the folder, "sha256", "command": how it was trained, "data": hash of its data}.
+    """Return the entries of registry.json by the name of the network, {} if there is no such file.
 
-    Raises ModelFileError where registry.json holds anything else.
+    An entry is {"file": path relative to the models folder, "sha256": of the file, "command": the command that trained
+    the network, "data": hash of the training data}. Raises ModelFileError if registry.json holds anything else.
     """
     paths = [folder / "registry.json" for folder in (ROOT / "models", *_folders())]
     path = next((path for path in paths if path.is_file()), None)
@@ -85,5 +90,5 @@ def _folders() -> list[Path]:
 
 @lru_cache(maxsize=64)
 def _sha256(path: Path, changed_ns: int, size: int) -> str:
-    """SHA-256 of a file, computed again only where its time of change or its size differs."""
+    """Return the SHA-256 of a file, from a cache if its time of change and its size are the same as before."""
     return hashlib.sha256(path.read_bytes()).hexdigest()

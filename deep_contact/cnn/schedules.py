@@ -1,4 +1,7 @@
-"""Learning-rate schedules by name: epoch (from 0) -> learning rate."""
+"""Schedules of the learning rate. A schedule is a function: number of the epoch, from 0 -> learning rate.
+
+Tests: tests/cnn/test_architectures.py, tests/studies/test_chapter_5.py
+"""
 
 from __future__ import annotations
 
@@ -6,21 +9,26 @@ from collections.abc import Callable
 
 
 def algorithm_6(epoch: int) -> float:
-    """Algorithm 6 of the thesis, its gaps closed: 5e-3 below epoch 100, 2e-3 below 300, 1e-3 below 500, 2e-4 after.
+    """Return the learning rate of the thesis's Algorithm 6, with its gaps closed.
 
-    As printed, the epochs 100 and 300 have no rate, and the last branch says ">300" where it must be ">500".
+    The rate is 5e-3 before epoch 100, 2e-3 before epoch 300, 1e-3 before epoch 500, and 2e-4 from epoch 500 on. As
+    printed, Algorithm 6 has no rate for the epochs 100 and 300, and its last branch says ">300" instead of ">500".
     """
     return 5e-3 if epoch < 100 else 2e-3 if epoch < 300 else 1e-3 if epoch < 500 else 2e-4
 
 
 def appendix_b(epoch: int) -> float:
-    """The scheduler of Appendix B: 0.05 up to epoch 100, 0.02 up to 400, 0.01 after."""
+    """Return the learning rate of Appendix B: 0.05 up to epoch 100, 0.02 up to epoch 400, and 0.01 after it."""
     return 0.05 if epoch <= 100 else 0.02 if epoch <= 400 else 0.01
 
 
 def cosine(epochs: int, rate: float) -> Callable[[int], float]:
-    """Keras's `CosineDecay` by epoch: half of `rate`, `rate`, then down to 1 % of it in the last of `epochs`."""
-    from deep_contact.cnn.backend import keras  # TensorFlow: imported with what needs it
+    """Return Keras's `CosineDecay` as a schedule. epochs: number of epochs. rate: the largest learning rate.
+
+    The rate is `rate` / 2 in the first epoch and `rate` in the second. Then it falls to 1 % of `rate` in the last
+    epoch.
+    """
+    from deep_contact.cnn.backend import keras  # imports TensorFlow, which only this schedule needs
 
     if epochs == 1:
         return lambda epoch: rate
@@ -32,13 +40,13 @@ def cosine(epochs: int, rate: float) -> Callable[[int], float]:
 SCHEDULES = {
     "algorithm 6": lambda epochs, rate: algorithm_6,
     "appendix b": lambda epochs, rate: appendix_b,
-    # Scaled from 1,000 epochs to those of the run, so that a shorter run takes each of the rates.
+    # The next two are scaled from 1,000 epochs to the run's number of epochs. So a shorter run has all the rates.
     "scaled algorithm 6": lambda epochs, rate: lambda epoch: algorithm_6(epoch * 1000 // epochs),
     "scaled appendix b": lambda epochs, rate: lambda epoch: appendix_b(epoch * 1000 // epochs),
     "cosine": cosine,
     "constant": lambda epochs, rate: lambda epoch: rate,
 }
-"""Name -> function (number of epochs, rate) -> schedule. The number of epochs matters to those of `BY_LENGTH` alone."""
+"""Name -> function (number of epochs, rate) -> schedule. Only the schedules of `BY_LENGTH` use the number of epochs."""
 
 BY_LENGTH = ("scaled algorithm 6", "scaled appendix b", "cosine")
-"""Schedules whose rates depend on the number of epochs."""
+"""Names of the schedules whose rates depend on the number of epochs."""

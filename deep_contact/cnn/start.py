@@ -1,4 +1,7 @@
-"""Starts that a network predicts (section 5.4, Algorithm 7)."""
+"""Starts that a network predicts (section 5.4, Algorithm 7). A start is the impulses from which the solver begins.
+
+Tests: tests/cnn/test_inference.py, tests/cnn/test_far_field.py, tests/studies/test_no_past.py
+"""
 
 from __future__ import annotations
 
@@ -19,11 +22,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Cnn(FromProblem):
-    """Impulses that a network predicts (the thesis's CNN-Model, Algorithm 7), projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
+    """A start that a network predicts (the thesis's CNN-Model, Algorithm 7), projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
 
-    model: a `LearnedModel`, or the path or name of a model file, which is read again only if it changes. None is the
-    thesis's network, rebuilt (the start "cnn"), for its box of 30 m × 30 m. "far field" is our network, which corrects
-    Builtin's impulses in any box.
+    model: a `LearnedModel`, or the path or name of a model file, which is read again only if it changes. None is our
+    copy of the thesis's network (the start "cnn"), which takes the thesis's box of 30 m × 30 m only. "far field" is our
+    network, which corrects the impulses of the step before, in any box.
     """
 
     model: LearnedModel | str | Path | None = None
@@ -39,9 +42,10 @@ class Cnn(FromProblem):
 
 @dataclass(frozen=True)
 class FarFieldNoPast(Cnn):
-    """`Support`, corrected by a far-field network that was trained on such starts, for piles without a past.
+    """The start `Support`, corrected by a far-field network, for contacts without impulses of a step before.
 
-    model: as of `Cnn`. If contacts carry impulses of a step before, Builtin is better.
+    If the contacts have such impulses, the start `Builtin` is better. model: as for `Cnn`, a far-field network that was
+    trained to correct the start `Support`.
     """
 
     model: LearnedModel | str | Path | None = "far field, no past"

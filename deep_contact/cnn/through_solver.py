@@ -1,9 +1,12 @@
 """Training through the solver: the velocity error after some sweeps of Projected Gauss-Seidel, and its exact gradient.
 
-A start serves the velocities after the few sweeps that a user pays for. λ itself is not unique, and errors that one
-sweep removes do not matter. So the loss is the error after those sweeps, of the engine's own solver in its own order.
-Its gradient with respect to the start is the adjoint of the sweeps: one pass back over the contacts per sweep, with the
-clamps of the forward pass (almost everywhere the derivative).
+The network predicts a start, the impulses λ before the first sweep. A good start leaves small velocity errors after a
+few sweeps. The error of λ itself is no measure, because λ is not unique, and because some errors vanish in one sweep.
+So the loss is the velocity error after a few sweeps of the engine's own solver, with the contacts in its own order.
+
+The gradient of the loss with respect to the start is computed by the adjoint of the sweeps. The adjoint passes over the
+contacts in reverse order, once for each sweep. A row counts as clamped in it if the forward pass clamped the row. This
+gives the derivative almost everywhere.
 """
 
 from __future__ import annotations
@@ -36,20 +39,20 @@ from deep_contact.stepping.rows import (
 )
 
 _NOTHING = 1e-12
-"""‖v* − v⁻‖, √J, below which there is nothing to solve and the error is 0."""
+"""Limit of ‖v* − v⁻‖, √J, the mass-weighted change of the velocities by all impulses. Below it, the errors are 0."""
 
 
 class SolvedProblem(NamedTuple):
     """A contact problem with its solution."""
 
-    rows: Rows  # with the impulses of Builtin's start
-    free: np.ndarray  # velocities after Δt of gravity, packed for the solver, (n + 4, 4)
-    solution: np.ndarray  # λ*, (m, 2), N·s
-    friction: float
+    rows: Rows  # rows of the contacts, with the impulses of the step before
+    free: np.ndarray  # velocities after Δt of gravity without impulses, packed for the solver, (n + 4, 4)
+    solution: np.ndarray  # solved impulses λ*, (m, 2), N·s
+    friction: float  # Coulomb's μ
 
 
 def solved_problem(state: State) -> SolvedProblem:
-    """The contact problem of a solved state. Raises ValueError on a state that is not solved."""
+    """Return the contact problem of a solved state. Raises ValueError on a state that is not solved."""
     check_solution(state)
     rows, free, friction, _ = step_problem(state)
     solution = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
@@ -57,9 +60,10 @@ def solved_problem(state: State) -> SolvedProblem:
 
 
 def errors_after(problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int]) -> np.ndarray:
-    """`evaluation.velocity_errors` on packed arrays, from a start (m, 2) that is projected first.
+    """Return the relative velocity errors after some sweeps, (len(sweeps),), as `evaluation.velocity_errors` does.
 
-    sweeps: increasing. The errors are 0 where there is nothing to solve.
+    If no impulses are needed (‖v* − v⁻‖ is almost 0), all errors are 0. start: impulses before the first sweep,
+    (m, 2), N·s, which are projected on the friction cone first. sweeps: numbers of sweeps, ascending.
     """
     return loss_and_gradient(problem, start, sweeps, np.zeros(len(sweeps)))[2]
 
@@ -67,16 +71,18 @@ def errors_after(problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int
 def loss_and_gradient(
     problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int], weights: Sequence[float]
 ) -> tuple[float, np.ndarray, np.ndarray]:
-    """(loss, gradient (m, 2) with respect to the start, errors): loss = Σ_c weights[c] · errors[c].
+    """Return the loss Σ_c weights[c] · errors[c], its gradient with respect to the start, (m, 2), and the errors.
 
-    errors[c] is the velocity error after sweeps[c] sweeps. The start is projected on λ_n ≥ 0 and the cone before the
-    first sweep. Where the projection cuts a negative normal impulse off, the gradient is kept if it asks for more
-    impulse; otherwise such a contact could never learn to push.
+    errors[c] is the relative velocity error after sweeps[c] sweeps. The start is projected on λ_n ≥ 0 and the friction
+    cone before the first sweep. Where λ_n of the start is negative, the exact derivative is 0. There the derivative
+    without the projection is returned if a larger λ_n would reduce the loss. Otherwise the network could never learn
+    that such a contact pushes.
+    start: (m, 2), N·s. sweeps: numbers of sweeps, ascending. weights: (len(sweeps),).
     """
     sweeps, weights, start = np.asarray(sweeps), np.asarray(weights, float), np.array(start, float)
     in_cone = np.column_stack(projected(*start.T.copy(), problem.friction))
     errors, gradient = _errors_and_gradient(problem, in_cone, sweeps, weights)
-    # The adjoint of the projection.
+    # Apply the adjoint of the projection on the friction cone.
     normal, tangent = start.T
     cut = np.abs(tangent) > problem.friction * np.maximum(normal, 0.0)
     gradient[cut, 0] += np.copysign(problem.friction, tangent[cut]) * gradient[cut, 1]
@@ -87,10 +93,13 @@ def loss_and_gradient(
 
 @njit(cache=True)
 def _errors_and_gradient(problem, start, sweeps, weights):
-    """(errors (c,), gradient (m, 2) of Σ weights · errors with respect to a start in the cone)."""
+    """Return the errors, (c,), and the gradient of Σ_c weights[c] · errors[c] with respect to the start, (m, 2).
+
+    start: impulses within the friction cone, (m, 2), N·s. sweeps, weights: as for `loss_and_gradient`.
+    """
     rows, free, solution, friction = problem
     n, count = free.shape[0] - 4, sweeps[-1]
-    # s = ω r has half the inertia of the mass.
+    # The kinetic energy of a disc is m (v_x² + v_y² + s² / 2) / 2 with s = ω r. So s has half of the weight.
     metric = np.array([1.0, 1.0, 0.5]) / free[:n, 3:]
     goal, errors, by_impulse = _velocities(rows, free, solution), np.zeros(sweeps.size), np.zeros_like(start)
     change = (goal - free)[:n, :3]
@@ -122,7 +131,10 @@ def _errors_and_gradient(problem, start, sweeps, weights):
 
 @njit(cache=True)
 def _velocities(rows, free, impulse):
-    """v⁻ + M⁻¹ Jᵀ λ, packed like `free`."""
+    """Return the velocities v⁻ + M⁻¹ Jᵀ λ, packed like v⁻ = `free`, with the Jacobian J of the rows.
+
+    impulse: λ, (m, 2), N·s.
+    """
     velocity = free.copy()
     apply_impulses(Rows(rows.body, rows.data, impulse), velocity, 0.0)
     return velocity
@@ -130,10 +142,11 @@ def _velocities(rows, free, impulse):
 
 @njit(cache=True)
 def forward_sweep(rows, friction, velocity, impulse, clamped):
-    """The engine's sweep over `impulse` and `velocity`, in place; writes to `clamped`, (m, 2), int8, which rows it cut.
+    """Do one sweep of the engine's solver over `impulse` and `velocity`, in place, and record which rows were clamped.
 
-    clamped: 1 where λ_n was cut at 0; ±1 where λ_t was cut at ±μ λ_n; 0 where a row was free. The adjoint needs
-    these flags, and the engine's own sweep does not keep them.
+    The adjoint needs the record, which the engine's own sweep does not make.
+    clamped: the record, (m, 2), int8, is written. clamped[i, 0] is 1 if λ_n was clamped at 0. clamped[i, 1] is ±1 if
+    λ_t was clamped at ±μ λ_n. Otherwise the entries are 0.
     """
     for i in range(rows.body.shape[0]):
         row, (v_n, v_t) = rows.data[i], relative_velocity(rows, velocity, i)
@@ -154,14 +167,16 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
 
 @njit(cache=True)
 def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
-    """The adjoint of `forward_sweep`: derivatives after the sweep become those before it, in place.
+    """Apply the adjoint of `forward_sweep`: turn derivatives with respect to its results into those to its inputs.
 
-    velocity: any packed velocities, for their inverse masses. by_velocity: (n + 4, 3). by_impulse: (m, 2).
+    velocity: packed velocities, of which only the inverse masses are read. clamped: the record of `forward_sweep`.
+    by_velocity: derivatives of the loss with respect to the velocities, (n + 4, 3), changed in place. by_impulse:
+    derivatives of the loss with respect to the impulses, (m, 2), changed in place.
     """
     for i in range(rows.body.shape[0] - 1, -1, -1):
         a, b, row = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i]
         d_n, d_t = _by_change(rows, velocity, by_velocity, i)
-        # Derivatives by the changes p_n and p_t of this contact's impulses.
+        # d_n and d_t become the derivatives with respect to the changes of this contact's impulses in the sweep.
         d_n += by_impulse[i, 0]
         d_t += by_impulse[i, 1]
         if clamped[i, 1] != 0:
@@ -169,7 +184,8 @@ def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
             by_impulse[i, 0] += clamped[i, 1] * friction * d_t
         if clamped[i, 0] != 0:
             by_impulse[i, 0] -= d_n
-        # Derivatives by the velocities v_n and v_t, on which a row that was cut does not depend.
+        # g_n and g_t are the derivatives with respect to v_n and v_t. The result of a clamped row does not depend on
+        # them.
         g_n = -row[NORMAL_MASS] * d_n if clamped[i, 0] == 0 else 0.0
         g_t = -row[TANGENT_MASS] * d_t if clamped[i, 1] == 0 else 0.0
         g_x, g_y = g_n * row[N_X] + g_t * row[N_Y], g_n * row[N_Y] - g_t * row[N_X]
@@ -183,7 +199,11 @@ def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
 
 @njit(cache=True)
 def _by_change(rows, velocity, by_velocity, i):
-    """Derivative by a normal and by a tangent impulse of contact i through the velocities that they change."""
+    """Return the derivatives of the loss with respect to the normal and the tangent impulse of contact i.
+
+    Only the effect through the velocities that these impulses change is counted. by_velocity: derivatives of the loss
+    with respect to the velocities, (n + 4, 3).
+    """
     a, b, row = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i]
     n_x, n_y, w_a, w_b = row[N_X], row[N_Y], velocity[a, INVERSE_MASS], velocity[b, INVERSE_MASS]
     g_x = w_b * by_velocity[b, 0] - w_a * by_velocity[a, 0]

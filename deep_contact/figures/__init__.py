@@ -1,4 +1,4 @@
-"""What the script of a figure is: its settings, its results file, its claims and its picture."""
+"""The common part of the figure and table scripts: settings, results files, claims and pictures."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
-"""The contract of the figure and table scripts: command line, simulation, results file, picture.
+"""The common part of the figure and table scripts: command line, simulation, results file and picture.
 
-A script describes itself by a `Figure`, and runs where it is the program that was started:
+A script defines a `Figure`. The second line runs it if the script is the program that was started:
 
     FIGURE = Figure("3.7", "Title", compute, table, draw, claims, options={"steps": 600}, quick={"steps": 60})
     figures.run_as_script(FIGURE, __name__)
 
-`compute` makes the numbers. `claims`, `table` and `draw` see only what is stored of them, so that a picture drawn again
-from its file is the same picture. Settings are changed by `--set NAME=VALUE`: a name may have spaces, and a value has
-the type of the default, which may be a list, a dict or None.
+`compute` computes the data. `claims`, `table` and `draw` get the data as they are stored in the results file. So a
+picture that is drawn again from this file is the same. `--set NAME=VALUE` changes a setting. A name may contain spaces.
+A value has to have the type of the default, which may be a list, a dict or None.
 """
 
 from __future__ import annotations
@@ -37,25 +37,26 @@ from deep_contact.plot import plotting
 from deep_contact.state.validation import brief, one_of
 
 MEANINGS = json.loads((Path(__file__).parent / "settings.json").read_text(encoding="utf-8"))
-"""Name of a setting -> its meaning and unit; "4.2 kernel" is the meaning in Figure 4.2 alone."""
+"""Name of a setting -> its meaning and unit. A key such as "4.2 kernel" has the meaning of "kernel" in Figure 4.2."""
 
 INTERRUPTED = 130
-"""Exit status after Ctrl-C: 128 and the number of the signal, as shells have it."""
+"""Exit status after Ctrl-C: 128 plus the number of the signal SIGINT, the convention of shells."""
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A figure or a table, of the thesis or of ours.
+    """A figure or a table, from the thesis or added by us.
 
     id: "3.7" for a figure, "T 5.1" for a table. title: one line. options: the settings of a full run, name -> value
-    (numbers, text, None, or lists and dicts of these). quick: the options that `--quick` changes. seed: default of
-    `--seed`. digits: significant digits kept of float arrays in the data, None for all. file: name of its files without
-    suffix, if the id does not give it.
+    (numbers, text, None, or lists and dicts of these). quick: the options that `--quick` changes, name -> value.
+    seed: default of `--seed`. digits: number of significant digits with which float arrays in the data are stored; None
+    stores all. file: name of the figure's files without suffix; by default it is made from the id.
 
-    compute(options, seed, jobs, progress) -> data: dict of what `json_data.plain` can store. `jobs` goes to
-    `parallel_map`, `progress` has the signature of `progress_bar`.
-    table(data) -> rows to print, head first; a figure may have none. claims(data) -> `Claim`s. Both see stored data.
-    draw(data, options) -> matplotlib figure. A table without `draw` gets a picture of its rows.
+    compute: function (options, seed, jobs, progress) -> data, a dict that `json_data.plain` can store. `jobs` is an
+    argument for `parallel_map`, and `progress` has the signature of `progress_bar`.
+    table: function (data) -> rows to print, the heading first, or None. claims: function (data) -> `Claim`s. Both get
+    the stored data.
+    draw: function (data, options) -> matplotlib figure. If it is None, the picture shows the rows of the table.
 
     Raises ValueError naming the field.
     """
@@ -80,67 +81,83 @@ class Figure:
 
     @property
     def stem(self) -> str:
-        """Name of its files without suffix: figure_3_7, table_5_1."""
+        """The name of the figure's files without suffix, such as figure_3_7 or table_5_1."""
         return self.file or re.sub(r"[ .]", "_", results.name_of(self.id).lower())
 
     @property
     def heading(self) -> str:
-        """Kind, number and title, "Figure 3.7: …"."""
+        """The figure's kind, number and title, "Figure 3.7: …"."""
         return f"{results.name_of(self.id)}: {self.title}"
 
     def beside(self, options: dict) -> dict | None:
-        """The reference results that a quick run is judged by (`results.verdict`); None for any other run."""
+        """Return the results of the reference run, with which `results.verdict` compares a quick run.
+
+        options: settings of the run. Returns None if it is not a quick run.
+        """
         return (results.reference(self.stem) or {"claims": []}) if "quick" in self.changed(options) else None
 
     def changed(self, options: dict) -> list[str]:
-        """The settings of a run that are not the figure's own: "quick" for those of the quick run, others as
-        NAME=VALUE."""
+        """Return the settings of a run that differ from the figure's defaults, as texts.
+
+        "quick" stands for all settings that `--quick` changed. Any other setting is NAME=VALUE.
+        """
         own, quick = (results.plain(of, where="options") for of in (self.options, self.quick))
         small = {name: value for name, value in quick.items() if options[name] == value != own[name]}
         others = [name for name, value in options.items() if value != own[name] and name not in small]
         return [*(["quick"] if small else []), *(f"{name}={brief(options[name])}" for name in others)]
 
     def settings(self, changes: dict, quick: bool) -> dict:
-        """All options of a run, as its results file stores them. Raises ValueError for changes of unknown ones."""
+        """Return all options of a run in the form in which its results file stores them.
+
+        changes: name of an option -> its value. quick: whether the options of the quick run are taken for the others.
+        Raises ValueError if a name in `changes` is unknown.
+        """
         for name in changes:
             one_of("options", name, self.options)
         return results.plain(self.options | (self.quick if quick else {}) | changes, where="options")
 
     def rows(self, data: dict) -> list[list[str]]:
-        """The table of the data as text, head first."""
+        """Return the rows of the figure's table as texts, the heading first."""
         return [[cell(value) for value in row] for row in self.table(data)]
 
 
 def run_as_script(figure: Figure, module: str) -> None:
-    """The end of a script, `module` being its `__name__`: exit with `main`'s status unless it was imported."""
+    """Run a figure's command line and exit with the status of `main`, unless the script was imported.
+
+    module: the `__name__` of the script, which calls this function in its last line.
+    """
     if module == "__main__":
         raise SystemExit(main(figure))
 
 
 def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
-    """Run a script's command line. Returns the exit status.
+    """Run the command line of a figure's script. Returns the exit status.
 
-    0: the files are written. 1: a file that has to exist first is missing, such as a trained network; the message is
-    printed. 2: bad arguments, or a ValueError of the figure's own functions under `--set`. 130: interrupted by Ctrl-C,
-    143: by SIGTERM, both without a traceback and without half-written files. Any other error of the figure's own
-    functions is raised.
+    figure: the figure. arguments: arguments of the command line; None takes those of the process. The status is:
+
+    * 0: the files have been written.
+    * 1: a file that the figure needs is missing, such as a trained network. The message is printed.
+    * 2: an argument is wrong, or the figure's functions raised a ValueError and `--set` was used.
+    * 130: Ctrl-C interrupted the run. 143: SIGTERM did. Neither prints a traceback or leaves half-written files.
+
+    Any other error of the figure's functions is raised.
     """
     parser = _parser(figure)
     args = parser.parse_args(arguments)
     if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
+        sys.stdout.reconfigure(errors="replace")  # so that a terminal that cannot show θ raises no error
     if args.jobs < 1 or (args.seed or 0) < 0:
         parser.error(f"expected --jobs of at least 1 and no negative --seed, got {args.jobs} and {args.seed}")
     if args.replot and (args.set or args.quick or args.seed is not None):
         parser.error("--replot draws what is stored: expected no --set, --quick, --seed beside it")
     try:
         Path(args.out).mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=args.out).close()  # a folder without write permission is refused before the work
+        tempfile.TemporaryFile(dir=args.out).close()  # fails before the computation if the folder cannot be written
     except OSError as error:
         parser.error(f"--out: expected a folder that can be written, got {args.out!r} ({error.strerror})")
     changes, path = dict(args.set), Path(args.out, f"{figure.stem}.json")
-    # An exit, so that temporary files and child processes are cleaned up.
-    if threading.current_thread() is threading.main_thread():  # no other may set handlers
+    # SIGTERM raises SystemExit, so that temporary files and child processes are cleaned up.
+    if threading.current_thread() is threading.main_thread():  # other threads may not set signal handlers
         signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
         if args.replot:
@@ -171,12 +188,13 @@ def produce(
     out: str | os.PathLike = "figures",
     jobs: int | Executor = 1,
 ) -> dict:
-    """Compute, store, draw and report a figure. Returns the stored results.
+    """Compute the data of a figure, store them, draw the picture and print a report. Returns the stored results.
 
-    options: changes to the figure's own, by name. quick: start from the options of its quick run. out: folder of the
-    files. jobs: number of processes, or an executor (`parallel.finished`); the numbers do not depend on it. The results
-    are stored before they are drawn, so that an error in `draw` does not cost a long computation. Raises ValueError for
-    an unknown option.
+    The results are stored before the picture is drawn. So an error in `draw` does not lose a long computation.
+    figure: the figure. options: options that differ from the figure's, name -> value. quick: whether the options of the
+    quick run are taken for the others. seed: seed of the random numbers; None: the figure's. out: folder of the files.
+    jobs: number of processes, or an executor (`parallel.finished`); the results do not depend on it. Raises ValueError
+    for an unknown option.
     """
     options = figure.settings(options or {}, quick)
     seed, path = figure.seed if seed is None else seed, Path(out, f"{figure.stem}.json")
@@ -204,7 +222,11 @@ def _draw(figure: Figure, stored: dict, path: Path) -> None:
 
 
 def _redrawn(figure: Figure, path: Path) -> dict:
-    """The stored results, judged and drawn again. Raises ResultsError where the file has none of this figure."""
+    """Draw the picture again from the stored results, with the claims judged again. Returns the results.
+
+    path: path of the results file. The file is written again if a claim or the title has changed. Raises ResultsError
+    if there is no file, or if it has the results of another figure.
+    """
     if not path.exists():
         raise results.ResultsError(f"{path}: expected the results of a run, got no file")
     stored = results.read_results(path)
@@ -218,9 +240,10 @@ def _redrawn(figure: Figure, path: Path) -> dict:
 
 
 def _report(figure: Figure, stored: dict, path: Path) -> None:
-    """Print the numbers as a table, one line a claim, and the picture's path.
+    """Print the table, a line for each claim, and the picture's path.
 
-    The claims for which a quick run is too small, and which the reference run has judged, share one line.
+    In a quick run, one line counts the claims that disagree with the reference run, because the quick run has too few
+    states for them.
     """
     beside = figure.beside(stored["options"])
     print(figure.heading)
@@ -239,14 +262,17 @@ def _report(figure: Figure, stored: dict, path: Path) -> None:
 
 
 def claim_line(claim: dict, beside: dict | None = None, *, measured: bool = True) -> str:
-    """A stored claim as one line: its verdict (`results.verdict`), its text, and the numbers if `measured`."""
+    """Return a stored claim as one line: its verdict, its text, and its numbers if `measured` is true.
+
+    beside: results of the reference run, as for `results.verdict`, or None.
+    """
     source = f" ({claim['thesis']})" if claim["thesis"] else ""
     numbers = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
     return f"{results.verdict(claim, beside)}: {claim['text']}{source}" + (f": {numbers}" if measured else "")
 
 
 def cell(value) -> str:
-    """A value as tables and claims show it: floats with four significant digits, None as a dash."""
+    """Return the text of a value for tables and claims. Floats have four significant digits, and None is a dash."""
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or isinstance(value, bool):
@@ -275,7 +301,10 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
 
 
 def common_arguments(seed: int | str) -> argparse.ArgumentParser:
-    """The options of every script, for `parents` of its parser. seed: the default that the help names."""
+    """Return a parser with the options that all scripts have, to be passed as a parent of a script's parser.
+
+    seed: the default of `--seed` that the help text names.
+    """
     parser = argparse.ArgumentParser(add_help=False)
     add = parser.add_argument
     add("--quick", action="store_true", help="smaller runs, each within a minute")
@@ -287,20 +316,21 @@ def common_arguments(seed: int | str) -> argparse.ArgumentParser:
 
 
 def meaning(id: str, name: str) -> str:
-    """What a setting of the figure with this id means, with its unit; empty where none is known."""
+    """Return the meaning and the unit of a setting, "" if they are unknown. id: the figure's. name: the setting's."""
     return MEANINGS.get(f"{id} {name}", MEANINGS.get(name, ""))
 
 
 def _described(id: str, name: str, value) -> str:
-    """A line of the settings in `--help`; a long value is cut."""
+    """Return the line of `--help` for a setting of the figure `id`. A long value is truncated."""
     text = f"{name}={value if isinstance(value, str) else json.dumps(value)}"
     return f"  {text if len(text) <= 60 else f'{text[:59]}…':<32}  {meaning(id, name)}"
 
 
 def assigned(options: dict, text: str) -> tuple[str, object]:
-    """(name, value) from "name=value", with the type of the default: JSON, text, or "0.1,0.2" for a list.
+    """Parse "name=value". Returns (name, value), where the value has the type of the option's default.
 
-    Raises argparse.ArgumentTypeError naming the option, what was expected and what came.
+    options: the figure's options, name -> default. text: the value in it is JSON or plain text; a list may be
+    "0.1,0.2". Raises argparse.ArgumentTypeError naming the option, the expected value and the text.
     """
     name, sign, text = map(str.strip, text.partition("="))
     if not sign or name not in options:
@@ -313,7 +343,10 @@ def assigned(options: dict, text: str) -> tuple[str, object]:
 
 
 def _value(text: str, default):
-    """A text as a value of the default's type; a whole number is at least 1 if its default is. Raises ValueError."""
+    """Return the value that a text stands for, with the type of the default.
+
+    Raises ValueError if the text has another type, or is an integer below 1 while the default is at least 1.
+    """
     if isinstance(default, str):
         return text
     if isinstance(default, list):

@@ -1,9 +1,9 @@
-"""Results files: every number of a figure or table, where it came from, and what it says about the thesis.
+"""Results files: the numbers of a figure or table, their provenance, and the verdicts on claims of the thesis.
 
 A results file is strict JSON; `results_schema.json` has its fields.
 
-A float is stored by its shortest exact representation: reading gives the same bits. NaN and infinity are refused; a
-missing number is None (`null`).
+A float is stored as its shortest decimal representation that gives the same bits when it is read. NaN and infinity are
+refused. A missing number is None (`null`).
 """
 
 from __future__ import annotations
@@ -24,25 +24,27 @@ from deep_contact.io.provenance import provenance  # noqa: F401 (scripts take it
 SCHEMA = json.loads((Path(__file__).parent / "results_schema.json").read_text(encoding="utf-8"))
 
 REFERENCE = Path(__file__).resolve().parents[2] / "data" / "reference"
-"""Results of the full runs, in a checkout."""
+"""Folder of the results of the full runs, the reference runs. It exists in a checkout of the repository only."""
 
 OPEN = "too few states to tell"
-"""Verdict on a claim of a small run that does not agree with the reference run."""
+"""Verdict on a claim of a small run, if the small run and the reference run disagree."""
 
 _VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 
 
 class Claim(NamedTuple):
-    """A statement tested on the data.
+    """A statement that is tested on the data of a figure.
 
-    | field    | meaning                                                                                |
-    |----------|----------------------------------------------------------------------------------------|
-    | text     | the statement                                                                          |
-    | thesis   | where the thesis makes it, "section 3.4.1" or "section 5.1.3, Eq 3.8"; None if it does |
-    |          | not. The text copy of the thesis has no pages                                          |
-    | holds    | whether it is true of the data; None where the data leave it open, or say both         |
-    | measured | the numbers that decided it, name -> value                                             |
-    | verdict  | more than `holds` says: "holds, sweeps 1 to 180", "within the noise"; or None          |
+    | field    | meaning                                                                                  |
+    |----------|------------------------------------------------------------------------------------------|
+    | text     | the statement                                                                            |
+    | thesis   | place of the statement in the thesis, "section 3.4.1" or "section 5.1.3, Eq 3.8"; None   |
+    |          | if the thesis does not make it. Our copy of the thesis has no page numbers               |
+    | holds    | whether the data agree with the statement; None if they leave it open, or if some agree  |
+    |          | and some do not                                                                          |
+    | measured | the numbers that decided, name -> value                                                  |
+    | verdict  | a text with more detail than `holds`: "holds, sweeps 1 to 180", "within the noise"; or   |
+    |          | None                                                                                     |
     """
 
     text: str
@@ -53,7 +55,10 @@ class Claim(NamedTuple):
 
 
 def check_results(results: dict) -> dict:
-    """The results. Raises ResultsError naming field and value unless they follow the schema and are finite."""
+    """Return the results after a check. Raises ResultsError naming field and value if they violate the schema.
+
+    The error is also raised if a number is not finite.
+    """
     error = jsonschema.exceptions.best_match(_VALIDATOR.iter_errors(results))
     if error is not None:
         place = error.json_path.removeprefix("$").lstrip(".") or "results"
@@ -66,15 +71,16 @@ def check_results(results: dict) -> dict:
 
 
 def write_results(path: str | os.PathLike, results: Mapping, *, digits: int | None = None) -> Path:
-    """Check `results` and write them in one move. Returns the path. digits: see `plain`.
+    """Check results and write them to a file, completely or not at all. Returns the path.
 
-    Raises ResultsError naming field and value, and then leaves whatever was there before untouched.
+    digits: number of significant digits of float arrays, as for `plain`. Raises ResultsError naming field and value. An
+    existing file then stays unchanged.
     """
     return write_json(path, check_results(plain(results, digits=digits, where="results")))
 
 
 def read_results(path: str | os.PathLike) -> dict:
-    """The checked contents of a results file. Raises ResultsError naming file, field and value."""
+    """Read and check a results file. Returns its contents. Raises ResultsError naming file, field and value."""
     path = Path(path)
     try:
         return check_results(json.loads(path.read_text(encoding="utf-8")))
@@ -85,22 +91,26 @@ def read_results(path: str | os.PathLike) -> dict:
 
 
 def reference(stem: str) -> dict | None:
-    """The results of the reference run of "figure_3_7"; None where there are none, as in an installed package."""
+    """Return the results of a figure's reference run, or None if there is no file, as in an installed package.
+
+    stem: name of the figure's files without suffix, such as "figure_3_7".
+    """
     path = REFERENCE / f"{stem}.json"
     return read_results(path) if path.exists() else None
 
 
 def name_of(id: str) -> str:
-    """The name of an id: "Figure 3.7" of "3.7", "Table 5.1" of "T 5.1"."""
+    """Return the name of a figure or table for its id: "Figure 3.7" for "3.7", "Table 5.1" for "T 5.1"."""
     return f"Table {id[2:]}" if id.startswith("T ") else f"Figure {id}"
 
 
 def verdict(claim: Mapping, beside: Mapping | None = None) -> str:
-    """The verdict of a stored claim in words: its own if it has one, else "holds", "does not hold" or "open".
+    """Return the verdict on a stored claim in words.
 
-    beside: results of the reference run, for a claim of a smaller run. Where the claim comes out alike in both runs,
-    the verdict says so. Where it does not, the verdict is "too few states to tell", with the verdict of the reference
-    run. Two claims are the same if their texts are, whatever the number of circles.
+    It is the text in the claim's field "verdict", if there is one. Otherwise it is "holds", "does not hold" or "open".
+    beside: results of the reference run, if the claim is one of a smaller run. If `holds` is the same in both runs, the
+    verdict says that it is as in the reference run. If not, it is "too few states to tell", followed by the verdict of
+    the reference run. Two claims are the same if their texts are equal apart from the number of circles.
     """
     own = claim.get("verdict") or {True: "holds", False: "does not hold", None: "open"}[claim["holds"]]
     if beside is None:
@@ -111,10 +121,10 @@ def verdict(claim: Mapping, beside: Mapping | None = None) -> str:
         return f"as in the reference run, {own}"
     if other is None:
         return OPEN
-    said = verdict(other)  # the documentation has the sweeps
+    said = verdict(other)  # printed without its ranges of sweeps, which the documentation has
     return f"{OPEN} (reference run: {'holds in part' if ';' in said else said.partition(',')[0]})"
 
 
 def _of_any_size(text: str) -> str:
-    """A claim without its number of circles."""
+    """Return the text of a claim without its number of circles."""
     return re.sub(r"\d+ circles", "circles", text)

@@ -1,12 +1,14 @@
-"""Which files of data/reference are old, and why: made by another script, package, input or processor than today's.
+"""A test whether results files in data/reference are old: made by other code, input or processor than the present one.
 
-Code is compared by statements: functions, classes and constants at the top of a module, without comments, docstrings,
-imports and the names of modules. So a move changes nothing. A result stores the statements of its script, and of the
-modules that this imports, directly or not. It is old once one of them is in no file any more, or once its script has a
-new one. What only judges and draws stored numbers does not count.
+Code is compared by statements. A statement is a function, class or constant at the top level of a module, without
+comments, docstrings, imports and names of modules. So moving a statement to another module changes nothing. A results
+file stores digests of the statements of its script, and of all modules that the script imports, directly or not. It is
+old if one of these statements is in no file any more, or if its script has a new statement. Statements that only judge
+or draw stored numbers do not count.
 
-Modules that the golden runs import are held by these instead: numbers are old once the runs give other bits. Times are
-old after any change of such a module.
+The golden runs are simulations whose results are stored bit by bit (tests/tools/golden.py). For the modules that they
+import, the statements are not compared one by one. Instead, a results file is old if the golden runs give other bits.
+If the file holds measured times, it is old after any change of such a module.
 """
 
 from __future__ import annotations
@@ -31,25 +33,29 @@ STUDIES = {
     "benchmark_engine": ["benchmark.py", "engine"],
     "benchmark_live": ["benchmark.py", "live"],
 }
-"""File of data/reference -> the script that writes it, and its name there."""
+"""Results file in data/reference -> [script that writes it, arguments of the script].
+
+Files of figures and tables are not listed here.
+"""
 
 TIMES = frozenset([*STUDIES, *(f"figure_{number}" for number in ("5_2", "5_10", "6_6", "6_7", "6_16"))])
-"""Files that hold measured times."""
+"""Names of the results files that hold measured times."""
 
 DRAWING = {"reporting", "figures", "plot"}
-"""Folders of the package that store, judge and draw numbers."""
+"""Folders of the package whose code only stores, judges and draws numbers. Their statements do not count."""
 
 JUDGING = {"claims", "draw", "table"}
-"""Functions of a script that see stored numbers alone, unless another function of the script names them."""
+"""Names of the functions of a script that get stored numbers. They do not count, unless another function calls them."""
 
 
 # ---- code ----
 
 
 class _Code(ast.NodeTransformer):
-    """Leaves out imports, names of the package's modules, docstrings, and what only type checkers read.
+    """A transformer that removes imports, names of the package's modules, docstrings and code for type checkers.
 
-    imported: (module, name) of all that a file imports from the package. used: the same, of attributes of these.
+    It collects two sets of pairs (module, name). imported: the names that a file imports from the package. used: the
+    names that the file reads as attributes of imported modules. modules: name in the file -> module.
     """
 
     def __init__(self):
@@ -81,7 +87,11 @@ def _place(module: str) -> Path:
 
 
 def _home(module: str, name: str) -> tuple[str, str]:
-    """Where a name of a module is defined, if the module imports its names when they are used."""
+    """Return (module, name) of the definition of a name that may be imported from a package.
+
+    Packages of this project import a name from the defining module when the name is used (`lazy`). This function finds
+    the defining module. For other modules it returns its arguments.
+    """
     package = _place(f"{module}.__init__")
     if not package.is_file() and "." in module and not _place(module).is_file():
         module = ".".join(_home(*module.rpartition(".")[::2]))
@@ -94,10 +104,11 @@ def _sha(content: str) -> str:
 
 @cache
 def read(file: Path) -> tuple[dict[str, str], set[Path]]:
-    """{16 digits of a statement: its name, such as "starts.paired"} of a file, and the files that it imports or names.
+    """Return the statements of a file, and the set of the files that it imports or names.
 
-    A data file is one statement. Of a script, those of `JUDGING` are left out. Raises ValueError for an import that is
-    in no file.
+    The statements are a dict: digest of 16 hexadecimal digits -> name, such as "starts.paired". A data file counts as
+    one statement. The functions `JUDGING` of a script are left out. Raises ValueError if the file imports a module of
+    the package that does not exist.
     """
     text = file.read_text(encoding="utf-8")
     if file.suffix != ".py":
@@ -112,7 +123,11 @@ def read(file: Path) -> tuple[dict[str, str], set[Path]]:
 
 
 def _files(file: Path, code: _Code, body: list[ast.stmt]) -> set[Path]:
-    """The modules and the data files behind a module's imports and texts, but for those of `DRAWING`."""
+    """Return the files of the modules that a file imports, and of the data files that its texts name.
+
+    code: the transformer that has visited the file. body: statements of the file. Files in folders of `DRAWING` are
+    left out.
+    """
     texts = [one.value for node in body for one in ast.walk(node) if isinstance(one, ast.Constant)]
     names = [text for text in texts if isinstance(text, str) and text.endswith(".json") and "/" not in text]
     files = {folder / name for name in names for folder in (file.parent, ROOT / "models")}
@@ -127,7 +142,7 @@ def _files(file: Path, code: _Code, body: list[ast.stmt]) -> set[Path]:
 
 @cache
 def reached(file: Path) -> set[Path]:
-    """A file, and all that it imports or names, directly or not."""
+    """Return a file and all files that it imports or names, directly or not."""
     found, waiting = set(), {file}
     while waiting:
         found.add(one := waiting.pop())
@@ -141,17 +156,18 @@ def _statements(files) -> dict[str, str]:
 
 @cache
 def everywhere() -> dict[str, str]:
-    """The statements of the package, the scripts and their data files."""
+    """Return all statements of the package, of the scripts and of their data files: digest -> name."""
     folders = ROOT / "deep_contact", ROOT / "scripts", ROOT / "models"
     return _statements(one for folder in folders for kind in ("*.py", "*.json") for one in folder.rglob(kind))
 
 
 @cache
 def made_by(script: Path | None = None) -> dict:
-    """Digests of the code behind a script's results, which `reason` compares; {} if no script runs.
+    """Return the digests of the code behind a script's results, which `reason` compares, or {} if there is no script.
 
-    script: by default the script that runs. Keys: code, the digests of the statements that golden runs do not import;
-    held, one digest of all statements that they import; golden, the digest of the bits of the golden runs.
+    script: path of the script; by default the script that runs now. The result has the keys "code", the statements in
+    modules that the golden runs do not import; "held", one digest of all statements in modules that they import; and
+    "golden", the digest of the bits of the golden runs.
     """
     script = script or Path(getattr(sys.modules["__main__"], "__file__", None) or "none").resolve()
     if script.suffix != ".py" or not script.is_file() or "site-packages" in script.parts:
@@ -164,7 +180,11 @@ def made_by(script: Path | None = None) -> dict:
 
 @cache
 def golden() -> tuple[str, ...]:
-    """Digests of the golden runs (tests/tools/golden.py): today's, and those of before whose runs kept their bits."""
+    """Return digests of the golden runs (tests/tools/golden.py), or () if there is no record of them.
+
+    The first is the present digest. The others are digests of earlier records whose runs have the same bits in the
+    present record.
+    """
     file = ROOT / "data" / "reference" / "golden.json"
     if not file.is_file():
         return ()
@@ -173,7 +193,7 @@ def golden() -> tuple[str, ...]:
 
 
 def digest_of_runs(runs: dict) -> str:
-    """16 digits for the bits of all golden runs."""
+    """Return a digest of the bits of all golden runs, 16 hexadecimal digits. runs: name -> entry with "sha256"."""
     return _sha(json.dumps({name: runs[name]["sha256"] for name in sorted(runs)}))
 
 
@@ -182,7 +202,10 @@ def digest_of_runs(runs: dict) -> str:
 
 @cache
 def commands() -> dict[str, list]:
-    """File of data/reference -> its script and options, of all that can be old. Others say what was done once."""
+    """Return the results files that can be old: name in data/reference -> [script, arguments].
+
+    All other files there document something that was done once.
+    """
     folder = ROOT / "scripts"
     found = {name: [folder / script, *options] for name, (script, *options) in STUDIES.items()}
     found |= {scripts.stem(path): [path] for path in scripts.find(folder).values()}
@@ -191,24 +214,30 @@ def commands() -> dict[str, list]:
 
 @cache
 def made(name: str) -> dict:
-    """The provenance of a file of data/reference."""
+    """Return the provenance that a results file in data/reference stores. name: of the file, without suffix."""
     return json.loads((results.REFERENCE / f"{name}.json").read_text(encoding="utf-8"))["provenance"]
 
 
 @cache
 def processor() -> str:
-    """On which most of the times were measured."""
+    """Return the name of the processor on which most of the files with times were measured."""
     return Counter(made(name)["cpu"] for name in commands() if name in TIMES).most_common(1)[0][0]
 
 
 @cache
 def why_old(name: str) -> str:
-    """Why a file of data/reference is not true any more; "" if it is true, or says what was done once."""
+    """Return the reason why a results file in data/reference is old, or "" if it is not old.
+
+    name: of the file, without suffix. A file that documents something that was done once is never old.
+    """
     return reason(made(name), commands()[name][0], is_time=name in TIMES) if name in commands() else ""
 
 
 def reason(stored: dict, script: Path, *, is_time: bool) -> str:
-    """Why results with this provenance are not what a script would give today; "" if they are."""
+    """Return the reason why stored results are not what their script would give now, or "" if they are.
+
+    stored: provenance of the results. is_time: whether the results are measured times.
+    """
     if not stored.get("code"):
         return f"it does not say what code made it (commit {stored['commit'][:8]})"
     for name, digest in stored.get("inputs", {}).items():
@@ -228,7 +257,11 @@ def reason(stored: dict, script: Path, *, is_time: bool) -> str:
 
 
 def stale() -> list[str]:
-    """The files that are old: the cheap first, then those that hold times, then what is drawn from these."""
+    """Return the names of the old results files, in the order in which they should be made again.
+
+    Files without times come first, then files with times, then files that take a file with times as input. Within each
+    group, the files with the shortest computing time come first.
+    """
 
     def order(name: str):
         inputs = any(Path(one).stem in TIMES for one in made(name).get("inputs", {}))

@@ -1,8 +1,8 @@
 """Smoothed particle hydrodynamics as a transfer between particles and grid images (the thesis's chapter 3).
 
-Kernels: `value`, `derivative`, `gradient`, `laplacian`; their names are in `KERNELS`.
-Transfer: `Grid`, `splat`, `density`, `gather`, and the authors' two ways back from an image, `read_by_spline` and
-`share_out`.
+Kernel functions: `value`, `derivative`, `gradient` and `laplacian`. `KERNELS` lists the names of the kernels.
+Transfer: `Grid`, `splat`, `density` and `gather`. `read_by_spline` and `share_out` read an image back as the thesis's
+authors programmed it.
 """
 
 from deep_contact.sph.grid import Grid, density, gather, splat

@@ -1,16 +1,18 @@
 """The grid, and the transfer between particles and grid images: `splat`, `density` and `gather`.
 
-An image is a C-contiguous array of shape (n_y, n_x, channels), row 0 at y_min; the channels are the quantities that the
-particles carry. A transfer is a splat followed by a gather with the same `normalization`:
+An image is a C-contiguous array of shape (n_y, n_x, channels), with row 0 at y_min. Its channels are the quantities
+that the particles carry. A transfer is a splat followed by a gather with the same `normalization`:
 
-* "raw": node j holds Σ_k W(|x_j - x_k|, h) S_k (Algorithms 2 and 3; Eq 3.6 where the values are V_k S_k).
-* "particle": the weights of every particle are divided by their sum over the nodes (Appendix A), so the sum of an image
+* "raw": node j gets Σ_k W(|x_j - x_k|, h) S_k, where S_k is the value of particle k (Algorithms 2 and 3). With values
+  V_k S_k, where V_k is the particle's volume, this is Eq 3.6.
+* "particle": the weights of every particle are divided by their sum over the nodes (Appendix A). So the sum of an image
   is the sum of the values. If h is the spacing and the image is read back bilinearly (Algorithm 4), as in the thesis,
-  an isolated particle gets between a quarter and all of its value.
-* "consistent": the image is the same as with "particle". The gather divides by the gathered density D, the splat of
-  ones. So the value of an isolated particle and a constant field come back exactly. D depends on positions alone.
+  an isolated particle gets back between a quarter and all of its value.
+* "consistent": the splat gives the same image as with "particle". The gather divides by the gathered density image D,
+  which is the splat of ones. So an isolated particle gets back its exact value, and a constant field comes back
+  exactly. D depends on positions alone.
 
-Only the nodes within reach of a particle, r < h, are visited.
+The loops visit only the nodes at a distance r < h from a particle.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ _OPTIONS = {
     "unreached": {"error": 0, "zero": 1, "nearest": 2},
     "outside": {"error": 0, "clamp": 1},
 }
-"""Option -> name of a choice -> the number of that choice in compiled code."""
+"""Option of `splat` or `gather` -> name of each choice -> the integer that stands for the choice in compiled code."""
 
 _RAW, _CONSISTENT, _SPH, _CLAMP = 0, 2, 1, 1
 _ZERO, _NEAREST = 1, 2
@@ -48,8 +50,9 @@ _NO_DENSITY = np.empty((0, 0))
 class Grid:
     """A rectilinear grid of nodes. Node (row j, column i) lies at (x0 + i dx, y0 + j dy).
 
-    origin: (x0, y0), the first node, m. spacing: (dx, dy), or one number for both, > 0, m.
-    shape: (n_y, n_x), numbers of nodes, at least 2 each. Raises ValueError naming the field and the value.
+    origin: (x0, y0), the position of the first node, m. spacing: (dx, dy), or one number for both, > 0, m.
+    shape: (n_y, n_x), the numbers of nodes along y and x, at least 2 each. Raises ValueError naming the field and the
+    value.
     """
 
     origin: tuple[float, float]
@@ -63,15 +66,16 @@ class Grid:
         for x, d, n in zip(origin, spacing, reversed(shape)):
             if not x + d * (n - 2) < x + d * (n - 1) < math.inf or not x < x + d:
                 raise ValueError(f"spacing: expected nodes that differ, got {spacing} at the origin {origin}")
-        vars(self).update(origin=origin, spacing=spacing, shape=shape)  # past the dataclass, which is frozen
+        vars(self).update(origin=origin, spacing=spacing, shape=shape)  # a frozen dataclass forbids assignments
 
     @classmethod
     def over_box(cls, box, spacing) -> Grid:
-        """The smallest grid that begins at the lower left corner of a box and covers the box.
+        """Return the smallest grid that begins at the lower left corner of a box and covers the box.
 
         box: (x_min, y_min, x_max, y_max), m. spacing: (dx, dy), or one number for both, m. If the spacing does not
-        divide the extent, the last nodes lie beyond the box: 30 m at 0.5 m gives 61 nodes, up to 30 m; at 0.7 m it
-        gives 44, up to 30.1 m. Raises ValueError naming the argument and the value.
+        divide the extent, the last nodes lie beyond the box. An extent of 30 m and a spacing of 0.5 m give 61 nodes,
+        the last at 30 m. A spacing of 0.7 m gives 44 nodes, the last at 30.1 m. Raises ValueError naming the argument
+        and the value.
         """
         x_min, y_min, x_max, y_max = several("box", box, 4)
         fits = x_min < x_max and y_min < y_max and math.isfinite(x_max - x_min + y_max - y_min)
@@ -84,12 +88,12 @@ class Grid:
 
     @property
     def _geometry(self) -> tuple[float, float, float, float]:
-        """(x0, y0, dx, dy), for compiled code."""
+        """The first node's position and the spacings, (x0, y0, dx, dy), m, as compiled code takes them."""
         return self.origin + self.spacing
 
     @property
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """x of the columns, shape (n_x,), and y of the rows, shape (n_y,), m."""
+        """The x coordinates of the columns of nodes, (n_x,), and the y coordinates of the rows, (n_y,), m."""
         (x, y), (dx, dy), (n_y, n_x) = self.origin, self.spacing, self.shape
         return x + dx * np.arange(n_x), y + dy * np.arange(n_y)
 
@@ -105,7 +109,11 @@ class Grid:
 
 @njit(cache=True, error_model="numpy")
 def _place(x, first, spacing, count, outside):
-    """A coordinate, moved to the nearest one of the grid if `outside` is "clamp", and whether it is now on the grid."""
+    """Return the coordinate x of a particle along one axis, m, and whether it lies on the grid.
+
+    If x lies outside the grid and `outside` is the number of "clamp", the nearest coordinate of the grid is returned.
+    first, spacing, count: coordinate of the first node, m, distance of neighbouring nodes, m, and number of nodes.
+    """
     on = -ROUNDING <= (x - first) / spacing <= count - 1 + ROUNDING
     if not on and outside == _CLAMP:
         return min(max(x, first), first + spacing * (count - 1)), True
@@ -114,17 +122,21 @@ def _place(x, first, spacing, count, outside):
 
 @njit(cache=True, error_model="numpy")
 def _reach(x, first, spacing, count, h):
-    """Half-open range of the nodes along one axis that may be nearer than h."""
+    """Return the half-open range of the nodes along one axis whose distance from x may be less than h.
+
+    first, spacing, count: as for `_place`. The range may contain nodes that are farther away.
+    """
     u, reach = (x - first) / spacing, h / spacing + ROUNDING
-    # Clipped as floats: h may be more spacings than an integer can hold.
+    # The bounds are clamped as floats, because h over the spacing may exceed the largest integer.
     return int(max(math.ceil(u - reach), 0.0)), int(min(math.floor(u + reach), count - 1.0)) + 1
 
 
 @njit(cache=True, error_model="numpy")
 def _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights):
-    """Fill `weights`, row by row, with h² W on the nodes around (x, y).
+    """Write the weights h² W(r, h) of the nodes around (x, y) into `weights`, row by row.
 
-    Returns the ranges of these nodes, i0, i1, j0, j1 (half open), and the sum of the weights.
+    geometry: `Grid._geometry`. x, y: position of the particle, m. h: support radius, m. kernel: number of the kernel.
+    Returns (i0, i1, j0, j1, total): the half-open ranges of columns i and rows j, and the sum of the weights.
     """
     x0, y0, dx, dy = geometry
     i0, i1 = _reach(x, x0, dx, n_x, h)
@@ -143,10 +155,10 @@ def _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights):
 
 @njit(cache=True, error_model="numpy")
 def bilinear_weights(geometry, n_y, n_x, x, y, weights):
-    """Fill `weights` with the bilinear weights of the corners of the cell around (x, y), Eq 3.16.
+    """Write the bilinear weights of the four corners of the cell around (x, y) into `weights`, Eq 3.16.
 
-    Returns what `_kernel_weights` does. The order of the corners: lower left, lower right, upper left, upper right. A
-    point outside the grid acts from the nearest point of the grid.
+    The order of the corners is lower left, lower right, upper left, upper right. For a point outside the grid, the
+    nearest point of the grid is taken. Returns (i0, i1, j0, j1, total) like `_kernel_weights`; the total is 1.
     """
     x0, y0, dx, dy = geometry
     u, v = min(max((x - x0) / dx, 0.0), n_x - 1.0), min(max((y - y0) / dy, 0.0), n_y - 1.0)
@@ -159,7 +171,10 @@ def bilinear_weights(geometry, n_y, n_x, x, y, weights):
 
 @njit(cache=True, error_model="numpy")
 def _nearest_weight(geometry, n_y, n_x, x, y, weights):
-    """Fill `weights` with 1 for the nearest node. Returns what `_kernel_weights` does."""
+    """Write the weight 1 of the node nearest to (x, y) into `weights`.
+
+    Returns (i0, i1, j0, j1, total) like `_kernel_weights`, for this node alone.
+    """
     x0, y0, dx, dy = geometry
     i = int(min(max(math.floor((x - x0) / dx + 0.5), 0.0), n_x - 1.0))
     j = int(min(max(math.floor((y - y0) / dy + 0.5), 0.0), n_y - 1.0))
@@ -169,23 +184,26 @@ def _nearest_weight(geometry, n_y, n_x, x, y, weights):
 
 @njit(cache=True, error_model="numpy")
 def _most_nodes(geometry, n_y, n_x, h):
-    """An upper bound on the nodes within reach of one particle; at least the four corners of a cell."""
+    """Return an upper bound on the number of nodes within the distance h of a particle, at least 4.
+
+    The 4 are the corners of a cell, which bilinear reading needs.
+    """
     across = min(2.0 * (h / geometry[2] + ROUNDING) + 2.0, float(n_x))
     along = min(2.0 * (h / geometry[3] + ROUNDING) + 2.0, float(n_y))
     return max(int(across) * int(along), 4)
 
 
 # ---- Numba: the transfers ----
-# Each returns a code, and the index of the particle that the code is about. With any code but _DONE the output is
-# incomplete. All input is finite.
+# Each function returns a code and the index of the particle at which the code arose. Unless the code is _DONE, the
+# loop stopped there and the output is incomplete. The callers have checked that all input is finite.
 
 
 @njit(cache=True, error_model="numpy")
 def _splat_core(geometry, position, values, h, kernel, normalization, unreached, outside, image):
     """Add Σ_k w_jk S_k to every node j of `image`, in place (Algorithms 2 and 3).
 
-    geometry: `Grid._geometry`. position (k, 2), m; values (k, c); image (n_y, n_x, c). h: support radius, m. The other
-    arguments are the numbers of the kernel and of choices in `_OPTIONS`.
+    geometry: `Grid._geometry`. position: particles, (k, 2), m. values: S, (k, c). h: support radius, m. kernel: number
+    of the kernel. normalization, unreached, outside: integers of `_OPTIONS`. image: (n_y, n_x, c).
     """
     n_y, n_x, channels = image.shape
     weights = np.empty(_most_nodes(geometry, n_y, n_x, h))
@@ -203,7 +221,7 @@ def _splat_core(geometry, position, values, h, kernel, normalization, unreached,
             if unreached != _NEAREST:
                 return _IS_UNREACHED, k
             i0, i1, j0, j1, total = _nearest_weight(geometry, n_y, n_x, x, y, weights)
-            # Raw weights are densities: their sum times the area of a cell is about 1. This weight keeps that sum.
+            # The raw weights of a particle, times the area of a cell, sum to about 1. This weight keeps that sum.
             factor = 1.0 / (geometry[2] * geometry[3]) if normalization == _RAW else 1.0
         n = 0
         for j in range(j0, j1):
@@ -217,7 +235,10 @@ def _splat_core(geometry, position, values, h, kernel, normalization, unreached,
 
 @njit(cache=True, error_model="numpy")
 def _density_at(weights, density, i0, i1, j0, j1, total):
-    """Σ_j w_j D_j over a range of nodes. An empty `density` stands for D = 1: the result is then `total`, Σ_j w_j."""
+    """Return Σ_j w_j D_j over the columns i0 to i1 − 1 and the rows j0 to j1 − 1.
+
+    weights: w, row by row. density: D, (n_y, n_x). If `density` is empty, D = 1, and `total` = Σ_j w_j is returned.
+    """
     if density.shape[0] == 0:
         return total
     total, n = 0.0, 0
@@ -230,11 +251,12 @@ def _density_at(weights, density, i0, i1, j0, j1, total):
 
 @njit(cache=True, error_model="numpy")
 def _gather_core(geometry, image, density, position, h, kernel, method, unreached, outside, out):
-    """Fill `out`, in place, with Σ_j w_j G_j / Σ_j w_j D_j at every query.
+    """Write Σ_j w_j G_j / Σ_j w_j D_j at every position into `out`, where G is the image.
 
-    With bilinear weights and D = 1 this is Algorithm 4. geometry: `Grid._geometry`. image (n_y, n_x, c); density
-    (n_y, n_x), or empty for D = 1; position (k, 2), m; out (k, c). h: support radius, m. The other arguments are the
-    numbers of the kernel and of choices in `_OPTIONS`. A result that is not finite ends the loop with a code.
+    With bilinear weights and D = 1 this is Algorithm 4. geometry: `Grid._geometry`. image: G, (n_y, n_x, c). density:
+    D, (n_y, n_x), or empty for D = 1. position: (k, 2), m. h: support radius, m. kernel: number of the kernel.
+    method, unreached, outside: integers of `_OPTIONS`. out: (k, c). If a result is not finite, the loop stops and
+    returns the code _BAD_RESULT.
     """
     n_y, n_x, channels = image.shape
     weights = np.empty(_most_nodes(geometry, n_y, n_x, h if method == _SPH else 0.0))
@@ -283,14 +305,17 @@ def splat(
     unreached: str = "error",
     outside: str = "error",
 ) -> np.ndarray:
-    """Particles to image, float64, shape (n_y, n_x, c), or (n_y, n_x) for values of shape (k,).
+    """Return the image of the particles' values, float64, (n_y, n_x, c), or (n_y, n_x) for values of shape (k,).
 
-    position: (k, 2), m. values: (k, c) or (k,). h: support radius, m. kernel: one of `KERNELS`, dim = 2.
-    normalization: "raw", "particle" or "consistent" (the same image as "particle"); see the module.
-    unreached: treatment of a particle with no node within h. "error": ValueError; "zero": the particle adds nothing;
-    "nearest": it goes to the nearest node (with the weight 1, or 1 / (dx dy) if raw).
-    outside: treatment of a particle outside the grid. "error": ValueError; "clamp": the particle acts from the nearest
-    point of the grid. The point of a contact with a wall lies beyond the wall by half of the penetration: clamp it.
+    position: particles, (k, 2), m. values: (k, c) or (k,). h: support radius, m. kernel: one of `KERNELS`, in two
+    dimensions.
+    normalization: "raw", "particle" or "consistent", as the module's docstring defines them. "consistent" gives the
+    same image as "particle".
+    unreached: treatment of a particle with no node within h. "error" raises ValueError. With "zero" the particle adds
+    nothing. With "nearest" its value goes to the nearest node, with the weight 1, or 1 / (dx dy) if raw.
+    outside: treatment of a particle outside the grid. "error" raises ValueError. "clamp" moves the particle to the
+    nearest point of the grid. Contact points at a wall need "clamp": they lie beyond the wall by half of the
+    penetration.
 
     Raises ValueError naming the argument, what was expected and the value.
     """
@@ -309,7 +334,10 @@ def splat(
 def density(
     grid: Grid, position, *, h: float, kernel: str = "poly6", unreached: str = "error", outside: str = "error"
 ) -> np.ndarray:
-    """The density image D_j = Σ_k w_jk, (n_y, n_x): the splat of ones, with the arguments and errors of `splat`."""
+    """Return the density image D_j = Σ_k w_jk, (n_y, n_x), which is the splat of ones normalised by particle.
+
+    The arguments and the errors are those of `splat`.
+    """
     options = {"normalization": "consistent", "unreached": unreached, "outside": outside}
     return splat(grid, position, np.ones(len(position)), h=h, kernel=kernel, **options)
 
@@ -327,20 +355,21 @@ def gather(
     unreached: str = "error",
     outside: str = "error",
 ) -> np.ndarray:
-    """Image to particles, float64, shape (k, c), or (k,) for an image of shape (n_y, n_x).
+    """Return the values of an image at some points, float64, (k, c), or (k,) for an image of shape (n_y, n_x).
 
     position: points at which the image is read, (k, 2), m. image: (n_y, n_x, c) or (n_y, n_x), from any source, such as
     a network.
-    normalization: "raw" and "particle" read the image as it is; "consistent" divides by the gathered density.
-    density: D of `sph.density`, for "consistent". None means that `position` are the particles themselves: D is then
-    computed from them, with h and kernel.
-    method: "bilinear" (Algorithm 4, with the matrix of Eq 3.16; Algorithm 4 has it transposed), or "sph", the mean of
-    the nodes within h, weighted by W; this is the adjoint of the splat with the normalization "particle".
-    h, kernel: as for `splat`; h may be None if neither `method` nor `density` needs it.
-    unreached: treatment of a point with no node within h ("sph") or no density around it ("consistent"). "error":
-    ValueError; "zero": the value is 0; "nearest": it is that of the nearest node over that node's density, or
-    ValueError where this density is 0.
-    outside: treatment of a point outside the grid. "error": ValueError; "clamp": the nearest point of the grid is read.
+    normalization: "raw" and "particle" read the image as it is. "consistent" divides by the gathered density.
+    density: the density image D of `sph.density`, (n_y, n_x), for "consistent" only. If it is None, `position` has to
+    hold the particles that were splatted. D is then computed from them, with h and kernel.
+    method: "bilinear" is Algorithm 4 with the matrix of Eq 3.16, which Algorithm 4 prints transposed. "sph" is the mean
+    of the nodes within h, weighted by W, which is the adjoint of the splat with the normalization "particle".
+    h, kernel: as for `splat`. h may be None with the method "bilinear", unless D has to be computed.
+    unreached: treatment of a point with no node within h (method "sph") or with no density around it ("consistent").
+    "error" raises ValueError. With "zero" the value is 0. With "nearest" the value is that of the nearest node over the
+    node's density, and a density of 0 there raises ValueError.
+    outside: treatment of a point outside the grid. "error" raises ValueError. "clamp" reads the nearest point of the
+    grid.
 
     Raises ValueError naming the argument, what was expected and the value, also if a result is not finite.
     """
@@ -373,7 +402,10 @@ def _spacing(lengths):
 
 
 def image_of(grid: Grid, pixels) -> np.ndarray:
-    """An image as (n_y, n_x, c), float64. Raises ValueError unless it has the nodes of the grid."""
+    """Return an image as an array (n_y, n_x, c), float64.
+
+    pixels: (n_y, n_x, c), or (n_y, n_x) for one channel. Raises ValueError unless n_y and n_x are those of the grid.
+    """
     image = as_floats("image", pixels)
     if image.ndim not in (2, 3) or image.shape[:2] != grid.shape:
         raise ValueError(f"image: expected shape {(*grid.shape, 'channels')}, got {image.shape}")
@@ -381,7 +413,7 @@ def image_of(grid: Grid, pixels) -> np.ndarray:
 
 
 def positions(points) -> np.ndarray:
-    """Positions as (k, 2), float64. Raises ValueError for other shapes, and for what is not finite."""
+    """Return points as an array (k, 2), float64, m. Raises ValueError for other shapes and for numbers not finite."""
     position = as_floats("position", points)
     if position.size == 0 and position.ndim == 1:
         position = position.reshape(0, 2)
@@ -390,18 +422,21 @@ def positions(points) -> np.ndarray:
 
 
 def _finite(name: str, array: np.ndarray) -> np.ndarray:
-    """The array itself, checked. Raises ValueError naming the first number that is not finite."""
+    """Return the array unchanged. Raises ValueError naming the first of its numbers that is not finite."""
     refuse_where(~np.isfinite(array), name, array, "a finite number")
     return array
 
 
 def _code(name, choice):
-    """The number of a choice of the option `name`. Raises ValueError for an unknown choice."""
+    """Return the integer of a choice of the option `name` in `_OPTIONS`. Raises ValueError for an unknown choice."""
     return _OPTIONS[name][one_of(name, choice, _OPTIONS[name])]
 
 
 def _raise_unless_done(code, k, grid, position, h) -> None:
-    """Raise the ValueError that belongs to the code of a core, unless the code is _DONE."""
+    """Raise the ValueError for a code that `_splat_core` or `_gather_core` returned, unless the code is _DONE.
+
+    k: index of the particle at which the code arose. position: all particles, (k, 2), m. h: support radius, m, or None.
+    """
     if code == _DONE:
         return
     at = f"({position[k, 0]}, {position[k, 1]})"

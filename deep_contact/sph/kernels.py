@@ -1,14 +1,15 @@
-"""Smoothing kernels: value W(r, h), radial derivative, gradient and Laplacian, on the plane and in space.
+"""Smoothing kernels: value W(r, h), radial derivative, gradient and Laplacian, in two and three dimensions.
 
 A kernel is one function of q = r/h and the dimension that returns W, W' and W'' for support radius h = 1, normalised to
-a unit integral. Everything else (h, the gradient's direction, the Laplacian, r = 0, the edge) is shared by all kernels.
+a unit integral. All kernels share the code for other h, the gradient's direction, the Laplacian, r = 0 and r >= h.
 
 For every kernel:
 
-* The support is open: W, W' and the Laplacian are 0 for r >= h. All but the Gaussian go to 0 continuously, with both
-  derivatives.
-* At r = 0 the gradient is the zero vector: for the spiky kernel, whose slope there depends on the direction, that is
-  the mean over all directions. The Laplacian is its limit: dim·W''(0) if W'(0) = 0, and -inf for the spiky kernel.
+* The support is open: W, W' and the Laplacian are 0 for r >= h. At r = h, all kernels but the Gaussian go to 0
+  continuously, with both derivatives.
+* At r = 0 the gradient is the zero vector. The slope of the spiky kernel at r = 0 depends on the direction, and the
+  zero vector is the mean over all directions.
+* At r = 0 the Laplacian is its limit for r -> 0: dim·W''(0) if W'(0) = 0, and -inf for the spiky kernel.
 * For other h, W(r, h) = W(r/h, 1) / h^dim.
 """
 
@@ -30,15 +31,18 @@ _WHOLE = math.sqrt(math.pi) * math.erf(math.sqrt(GAUSSIAN_DECAY)) / GAUSSIAN_DEC
 _GAUSSIAN_3D = 1.0 / (math.pi * (_WHOLE - 2.0 * _AT_EDGE / GAUSSIAN_DECAY))
 
 _SMALLEST_H = 1e-50
-"""Supports below it, m, are refused: their powers are beyond the range of floats."""
+"""Smallest support radius h that is accepted, m. The powers of smaller h would leave the range of floats."""
 
 _LARGEST_H = 1e50
-"""Supports above it, m, are refused for the same reason."""
+"""Largest support radius h that is accepted, m. The powers of larger h would leave the range of floats."""
 
 
 @njit(cache=True, error_model="numpy")
 def poly6(q, dim):
-    """W, W', W'' of c (1 - q²)³: Müller, Charypar and Gross 2003; Eq 3.8 (dim = 3), Appendix A (dim = 2)."""
+    """Return W, W', W'' of W = c (1 - q²)³, for h = 1 and q = r/h < 1.
+
+    Sources: Müller, Charypar and Gross 2003; thesis Eq 3.8 (dim = 3) and Appendix A (dim = 2).
+    """
     c = 4.0 / math.pi if dim == 2 else 315.0 / (64.0 * math.pi)
     s = (1.0 - q) * (1.0 + q)
     return c * s**3, -6.0 * c * q * s**2, 6.0 * c * s * (5.0 * q**2 - 1.0)
@@ -46,7 +50,10 @@ def poly6(q, dim):
 
 @njit(cache=True, error_model="numpy")
 def spiky(q, dim):
-    """W, W', W'' of c (1 - q)³: Desbrun and Gascuel 1996; thesis Eq 3.11 (dim = 3)."""
+    """Return W, W', W'' of W = c (1 - q)³, for h = 1 and q = r/h < 1.
+
+    Sources: Desbrun and Gascuel 1996; thesis Eq 3.11 (dim = 3).
+    """
     c = 10.0 / math.pi if dim == 2 else 15.0 / math.pi
     p = 1.0 - q
     return c * p**3, -3.0 * c * p**2, 6.0 * c * p
@@ -54,7 +61,10 @@ def spiky(q, dim):
 
 @njit(cache=True, error_model="numpy")
 def cubic_spline(q, dim):
-    """W, W', W'' of Schoenberg's M4 spline with knots at h/2 and h: Monaghan and Lattanzio 1985."""
+    """Return W, W', W'' of Schoenberg's M4 spline with knots at q = 1/2 and q = 1, for h = 1 and q = r/h < 1.
+
+    Source: Monaghan and Lattanzio 1985.
+    """
     c = 40.0 / (7.0 * math.pi) if dim == 2 else 8.0 / math.pi
     if q < 0.5:
         return c * (1.0 - 6.0 * q**2 * (1.0 - q)), c * q * (18.0 * q - 12.0), c * (36.0 * q - 12.0)
@@ -64,7 +74,10 @@ def cubic_spline(q, dim):
 
 @njit(cache=True, error_model="numpy")
 def wendland_c2(q, dim):
-    """W, W', W'' of c (1 - q)⁴ (1 + 4q): Wendland 1995, ψ₃,₁; positive definite up to dim = 3."""
+    """Return W, W', W'' of W = c (1 - q)⁴ (1 + 4q), for h = 1 and q = r/h < 1.
+
+    Source: Wendland 1995, ψ₃,₁. The function is positive definite up to dim = 3.
+    """
     c = 7.0 / math.pi if dim == 2 else 21.0 / (2.0 * math.pi)
     p = 1.0 - q
     return c * p**4 * (1.0 + 4.0 * q), -20.0 * c * q * p**3, 20.0 * c * p**2 * (4.0 * q - 1.0)
@@ -72,9 +85,10 @@ def wendland_c2(q, dim):
 
 @njit(cache=True, error_model="numpy")
 def gaussian(q, dim):
-    """W, W', W'' of c exp(-9 q²), cut at h and normalised on what is left.
+    """Return W, W', W'' of W = c exp(-9 q²), truncated at q = 1, for h = 1 and q = r/h < 1.
 
-    At r = h it drops to 0 from exp(-9) = 1.2e-4 of its peak; the derivatives are those of the smooth part.
+    c is such that the truncated kernel has a unit integral. At q = 1, W drops from exp(-9) = 1.2e-4 of its peak to 0.
+    The derivatives leave this jump out.
     """
     c = _GAUSSIAN_2D if dim == 2 else _GAUSSIAN_3D
     a = 2.0 * GAUSSIAN_DECAY
@@ -83,15 +97,18 @@ def gaussian(q, dim):
 
 
 KERNELS = ["poly6", "spiky", "cubic_spline", "wendland_c2", "gaussian"]
-"""Names of the kernels; the place of a name is its number in `profile`."""
+"""Names of the kernels. The index of a name in this list is the number of its kernel in compiled code."""
 
 
 @njit(cache=True, error_model="numpy")
 def profile(kernel, q, dim):
-    """(W, W', W'') of the kernel with number `kernel` at q = r/h >= 0 for h = 1; zeros from q = 1 on."""
+    """Return (W, W', W'') of a kernel for h = 1 at q = r/h >= 0. All three are 0 for q >= 1.
+
+    kernel: index of the kernel in `KERNELS`. dim: 2 or 3.
+    """
     if q >= 1.0:
         return 0.0, 0.0, 0.0
-    # A Numba function passed as an argument would be compiled anew in every process.
+    # A chain of ifs, because Numba would compile a function that is passed as an argument anew in every process.
     if kernel == 0:
         return poly6(q, dim)
     if kernel == 1:
@@ -105,10 +122,11 @@ def profile(kernel, q, dim):
 
 @njit(cache=True, error_model="numpy")
 def _evaluate(order, kernel, r, h, dim, out):
-    """Fill `out` with W (order 0), dW/dr (1) or ∇²W = W'' + (dim - 1) W'/r (2) at the distances r, m^-(dim + order).
+    """Write W (order 0), dW/dr (order 1) or ∇²W = W'' + (dim - 1) W'/r (order 2) at the distances r into `out`.
 
-    At r = 0 the values are the one-sided slope and the limit. Returns the index of the first distance that is negative
-    or not finite, or -1.
+    At r = 0, dW/dr is the one-sided slope and ∇²W is the limit for r -> 0. r: distances, (k,), m. h: support radius, m.
+    out: (k,), m^-(dim + order). Returns the index of the first distance that is negative or not finite, -1 if there is
+    none.
     """
     for k in range(r.shape[0]):
         if not (0.0 <= r[k] < math.inf):
@@ -126,42 +144,44 @@ def _evaluate(order, kernel, r, h, dim, out):
 
 
 def value(kernel: str, r, h: float, dim: int = 2):
-    """W(r, h), float64 in the shape of r, m^-dim.
+    """Return the kernel's value W(r, h), float64, in the shape of r, m^-dim.
 
-    kernel: one of `KERNELS`. r: distances >= 0, any shape, m. h: support radius, m. dim: 2 or 3.
+    kernel: one of `KERNELS`. r: distances >= 0, any shape, m. h: support radius, m. dim: number of dimensions, 2 or 3.
     Raises ValueError for an unknown kernel, h or dim, and for a distance that is negative or not finite.
     """
     return _radial(0, kernel, r, h, dim)
 
 
 def derivative(kernel: str, r, h: float, dim: int = 2):
-    """dW/dr, float64 in the shape of r, m^-(dim + 1). Arguments and errors as for `value`."""
+    """Return dW/dr, float64, in the shape of r, m^-(dim + 1). The arguments and the errors are those of `value`."""
     return _radial(1, kernel, r, h, dim)
 
 
 def gradient(kernel: str, displacement, h: float, dim: int = 2) -> np.ndarray:
-    """∇W with respect to x, shape (…, dim), m^-(dim + 1). Errors as for `value`.
+    """Return ∇W at x, the derivative with respect to x, (…, dim), m^-(dim + 1) (Eq 3.9, 3.12).
 
-    displacement: x - x_k, from the particle to where W is wanted, shape (…, dim), m. (Eq 3.9, 3.12)
+    kernel, h, dim: as for `value`. displacement: x - x_k, the vector from the particle at x_k to x, (…, dim), m.
+    Raises the errors of `value`.
     """
     dim = int(one_of("dim", dim, (2, 3)))
     displacement = as_floats("displacement", displacement)
     expect(displacement.shape[-1:] == (dim,), f"displacement: expected shape (..., {dim}), got {displacement.shape}")
     refuse_where(~np.isfinite(displacement), "displacement", displacement, "a finite number")
-    # The largest component is taken out first: squares of the rest can neither overflow nor vanish.
+    # Divide by the largest component first, so that no square overflows and the largest square does not underflow.
     scale = np.abs(displacement).max(axis=-1, keepdims=True)
     direction = displacement / np.where(scale > 0, scale, 1.0)
     length = np.sqrt((direction**2).sum(axis=-1, keepdims=True))
     # A distance beyond the largest float lies outside every support.
     distance = np.minimum(scale, np.finfo(np.float64).max / 2.0) * length
     direction /= np.where(length > 0, length, 1.0)
-    return _radial(1, kernel, distance, h, dim) * direction + 0.0  # and no -0.0 at the centre
+    return _radial(1, kernel, distance, h, dim) * direction + 0.0  # turns -0.0 at the centre into 0.0
 
 
 def laplacian(kernel: str, r, h: float, dim: int = 2):
-    """∇²W = W'' + (dim - 1)/r W', float64 in the shape of r, m^-(dim + 2). Arguments and errors as for `value`.
+    """Return ∇²W = W'' + (dim - 1)/r W', float64, in the shape of r, m^-(dim + 2).
 
-    (The thesis's Eq 3.10 has the wrong factor, Eq 3.13 is W'' alone.)
+    The arguments and the errors are those of `value`. The thesis prints other formulas: its Eq 3.10 has a wrong factor,
+    and its Eq 3.13 is W'' alone.
     """
     return _radial(2, kernel, r, h, dim)
 
@@ -178,20 +198,20 @@ def _radial(order, kernel, r, h, dim):
 
 
 def kernel_number(kernel: str) -> int:
-    """The number by which Numba code knows a kernel. Raises ValueError for an unknown name."""
+    """Return the index of a kernel's name in `KERNELS`. Raises ValueError for an unknown name."""
     return KERNELS.index(one_of("kernel", kernel, KERNELS))
 
 
 def check_support_radius(h) -> float:
-    """h as a float. Raises ValueError unless it is a number for which W and its Laplacian are finite."""
+    """Return the support radius h as a float, m. Raises ValueError unless it is a number from 1e-50 m to 1e50 m."""
     return number("h", h, _SMALLEST_H, _LARGEST_H)
 
 
 def as_floats(name: str, array) -> np.ndarray:
-    """The numbers as a writable, C-contiguous float64 array: `array` itself if it is one.
+    """Return numbers as a writable, C-contiguous float64 array. If `array` is such an array, it is not copied.
 
-    A read-only array is copied: Numba would take it for another type, and compile its functions again. Raises
-    ValueError where there are no real numbers.
+    A read-only array is copied, because Numba would treat it as another type and compile its functions again.
+    name: name of the argument in the error message. Raises ValueError unless `array` holds real numbers.
     """
     if type(array) is np.ndarray and array.dtype == np.float64 and array.flags.carray:
         return array

@@ -1,4 +1,9 @@
-"""Starts from the solution: as it is, after a way through an image (section 3.4), and made wrong."""
+"""Starts of the contact solver that are made from the solved impulses: unchanged, or after a transfer to an image.
+
+The transfer to an image and back is that of the thesis's section 3.4.
+
+Tests: tests/starts/test_starts.py, tests/sph/test_thesis.py
+"""
 
 from __future__ import annotations
 
@@ -15,7 +20,7 @@ from deep_contact.stepping.problem import solve
 
 @dataclass(frozen=True)
 class Copy:
-    """The solution itself (the thesis's Copy-Model)."""
+    """A start that equals the solved impulses (the thesis's Copy-Model)."""
 
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         return solved_impulses(state, solver)
@@ -24,23 +29,25 @@ class Copy:
 Transfer = Literal["thesis", "consistent", "spline", "shared"]
 
 TRANSFERS: tuple[Transfer, ...] = get_args(Transfer)
-"""Ways to transfer impulses to an image and back, see `Sph`."""
+"""Names of the ways to transfer impulses to an image and back. `Sph` explains each."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Sph:
-    """The solution after a round trip through a grid image (the thesis's SPH-Model, Algorithm 5).
+    """A start that is the solved impulses after a transfer to a grid image and back.
 
-    spacing: d of the grid, m. support: h of the kernel, m; by default h = d. transfer: one of `TRANSFERS`. All of them
-    spread an impulse over nodes by weights that sum to one (Appendix A), and differ in how they read the impulse back:
+    This is the thesis's SPH-Model (Algorithm 5).
+    spacing: distance d of neighbouring nodes, m. support: support radius h of the kernel, m; by default h = d.
+    kernel: one of `sph.KERNELS`. transfer: one of `TRANSFERS`. All transfers spread an impulse over the nodes by
+    weights that sum to 1 (Appendix A). They differ in how they read the impulse back:
 
-    - "thesis" (the start "sph"): bilinearly (Algorithm 4), which returns a part of the impulse, and 0 where no node is
-      within h.
-    - "consistent" ("sph consistent", ours): bilinearly, divided by the value that a field of ones returns.
-    - "spline" ("sph spline"): as the thesis's authors programmed it for this start (`sph.thesis`).
-    - "shared": as the thesis's authors programmed it for the start of their network.
+    - "thesis" (the start "sph") reads bilinearly (Algorithm 4). It returns a fraction of the impulse, and 0 where no
+      node is within h.
+    - "consistent" (the start "sph consistent", ours) reads bilinearly, and divides by what a field of ones gives.
+    - "spline" (the start "sph spline") reads by `sph.read_by_spline`, as the thesis's authors programmed this start.
+    - "shared" reads by `sph.share_out`, as the thesis's authors programmed the start of their network.
 
-    Raises ValueError on an unknown transfer; `deep_contact.sph` checks the rest.
+    Raises ValueError on an unknown transfer. `deep_contact.sph` checks the other fields when the start is called.
     """
 
     spacing: float = 0.5
@@ -55,16 +62,22 @@ class Sph:
         return self.round_trip(state, np.column_stack(solved_impulses(state, solver)))
 
     def round_trip(self, state: State, impulses: np.ndarray, *, method="bilinear") -> tuple[np.ndarray, np.ndarray]:
-        """(λ_n, λ_t) after splat and gather, (m,) each, of impulses (m, 2), N·s. method: as of `gather`."""
+        """Return the impulses (λ_n, λ_t), (m,) each, N·s, after a splat and a gather.
+
+        impulses: λ_n and λ_t before the splat, (m, 2), N·s. method: as for `gather`.
+        """
         return self.gather(state, self.splat(state, impulses), method=method)
 
     def splat(self, state: State, impulses: np.ndarray) -> np.ndarray:
-        """The image of the impulses, (n_y, n_x, 2), N·s."""
+        """Return the image of the impulses, (n_y, n_x, 2), N·s. impulses: λ_n and λ_t at the contacts, (m, 2), N·s."""
         grid, points, options = self._transfer(state)
         return sph.splat(grid, points, impulses, normalization="particle", **options)
 
     def gather(self, state: State, image: np.ndarray, *, method: str = "bilinear") -> tuple[np.ndarray, np.ndarray]:
-        """(λ_n, λ_t) of an image at the contacts. method: of `sph.gather`, for the transfer "thesis" alone."""
+        """Return (λ_n, λ_t) at the contacts, (m,) each, N·s, read from an image (n_y, n_x, 2), N·s.
+
+        method: "bilinear" or "sph", as for `sph.gather`. Only the transfer "thesis" uses it.
+        """
         (grid, points, options), ends = self._transfer(state), {"outside": "clamp", "unreached": "zero"}
         if self.transfer == "spline":
             back = sph.read_by_spline(grid, image, points)
@@ -78,10 +91,11 @@ class Sph:
         return back[:, 0].copy(), back[:, 1].copy()
 
     def _transfer(self, state: State) -> tuple:
-        """(Grid, the contacts' places, options of a splat).
+        """Return the `Grid`, the contact points, (m, 2), m, and the keyword arguments of `sph.splat`.
 
-        A contact with a wall lies half its penetration outside the box. Where no node is within h, the thesis's
-        transfer loses the contact; the consistent one gives it to the nearest node.
+        The contact point at a wall lies half of the penetration outside the box, so it is clamped. Where no node is
+        within h of a contact, the transfer "consistent" gives its impulse to the nearest node. The other transfers lose
+        the impulse.
         """
         h = self.spacing if self.support is None else self.support
         unreached = "nearest" if self.transfer == "consistent" else "zero"
@@ -90,10 +104,11 @@ class Sph:
 
 
 def solved_impulses(state: State, solver) -> tuple[np.ndarray, np.ndarray]:
-    """(λ_n, λ_t) of the state's solution, (m,) each, N·s.
+    """Return the solved impulses (λ_n, λ_t) of a state, (m,) each, N·s.
 
-    If the state holds its solution (`State.holds_solution`), they are read from it. Otherwise the state is solved here,
-    from Builtin, like the copy of the world that the thesis runs one step ahead (Algorithm 5).
+    If the state holds its solution (`State.holds_solution`), they are read from it. Otherwise `solver` solves the state
+    here, from the impulses of the step before (the start "builtin"). The thesis does the same with a copy of the world
+    that it runs one step ahead (Algorithm 5).
     """
     contacts = state.contacts
     if state.holds_solution:

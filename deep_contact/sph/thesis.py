@@ -1,4 +1,7 @@
-"""The transfer as the thesis's authors programmed it: a splat by k-d tree, and two ways back that are not in print."""
+"""The transfer as the thesis's authors programmed it.
+
+The splat finds neighbours by a k-d tree. The thesis does not print the two ways to read an image back.
+"""
 
 from __future__ import annotations
 
@@ -10,10 +13,12 @@ from deep_contact.state.validation import expect, refuse_where
 
 
 def splat_by_tree(grid: Grid, position, values, *, h: float, kernel="poly6") -> np.ndarray:
-    """Particles to image, shape (n_y, n_x, c): for every node its neighbours, then Σ_k w S_k (Algorithms 2 and 3).
+    """Return the image of the particles' values, (n_y, n_x, c), by a search of each node's neighbours.
 
-    position: (k, 2), m. values: (k, c). The weights of a particle sum to one (Appendix A); a particle with no node
-    within h adds nothing. Raises ValueError for an unknown kernel or h.
+    Node j gets Σ_k w_jk S_k over the particles k within h (Algorithms 2 and 3). The weights of a particle sum to 1
+    (Appendix A). A particle with no node within h adds nothing.
+    position: particles, (k, 2), m. values: S, (k, c). h: support radius, m. kernel: one of `sph.KERNELS`. Raises
+    ValueError for an unknown kernel, and for an h that is out of range.
     """
     from scipy.spatial import cKDTree
 
@@ -33,18 +38,19 @@ def splat_by_tree(grid: Grid, position, values, *, h: float, kernel="poly6") -> 
     image = np.zeros((len(nodes), values.shape[1]))
     for node, w in weights.items():
         particles = near[node]
-        # A particle at exactly r = h has no weight here, and may have no other node.
+        # At r = h the weight is 0. So the sum of a particle whose only node is at r = h is 0.
         share = np.divide(w, total[particles], out=np.zeros_like(w), where=total[particles] > 0)
         image[node] = share @ values[particles]
     return image.reshape(*grid.shape, -1)
 
 
 def read_by_spline(grid: Grid, image, position) -> np.ndarray:
-    """Values, (k, c), of the bicubic spline through all nodes of an image (n_y, n_x, c), at positions (k, 2), m.
+    """Return the values at some points, (k, c), of the bicubic spline through all nodes of an image.
 
-    This is the authors' way back from the SPH image. At a position beyond the grid the spline is read at the nearest
-    point of the grid.
-    Raises ValueError naming the argument and the value, also where a side has fewer than four nodes.
+    The thesis's authors read the SPH image back in this way. For a point outside the grid, the spline is read at the
+    nearest point of the grid.
+    image: (n_y, n_x, c). position: points, (k, 2), m. Raises ValueError naming the argument and the value, also if the
+    grid has fewer than four nodes along an edge.
     """
     from scipy.interpolate import RectBivariateSpline
 
@@ -56,13 +62,13 @@ def read_by_spline(grid: Grid, image, position) -> np.ndarray:
 
 
 def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -> np.ndarray:
-    """Values of particles, (k, c), where every node shares its values out, by W, among the particles within h.
+    """Return the values of particles, (k, c), where each node distributes its value among the particles within h.
 
-    This is the authors' way back from the network's image (n_y, n_x, c). The weights of a node sum to one, so nothing
-    is lost. A particle that shares no node with another gets back all that it gave; any other particle gets a mean.
-    position: (k, 2), m; for a position beyond the grid the nearest point of the grid counts. h: support radius of the
-    kernel, m.
-    Raises ValueError naming the argument and the value.
+    The thesis's authors read the network's image back in this way. A node's weights are proportional to W and sum to 1.
+    So the values of all nodes with a particle within h are distributed completely. A particle that shares no node with
+    another one gets back all that it gave. Any other particle gets a weighted mean.
+    image: (n_y, n_x, c). position: particles, (k, 2), m; a particle outside the grid is moved to the nearest point of
+    the grid. h: support radius, m. kernel: one of `sph.KERNELS`. Raises ValueError naming the argument and the value.
     """
     from scipy.spatial import cKDTree
 
@@ -73,7 +79,7 @@ def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -
     node, particle = pairs["i"], pairs["j"]
     weights = kernels.value(kernel, pairs["v"], h)
     total = np.bincount(node, weights, minlength=len(nodes))[node]
-    # A particle at exactly r = h from its only node has no weight there.
+    # At r = h the weight is 0. So the sum of a node whose only particles are at r = h is 0.
     shares = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0.0)
     parts = shares[:, None] * values.reshape(len(nodes), -1)[node]
     return np.stack([np.bincount(particle, part, minlength=len(at)) for part in parts.T], axis=-1)

@@ -1,1 +1,1 @@
-"""Experiments of the scripts: comparisons of starts, speed for accuracy, timing, hard scenes."""
+"""Experiments that the scripts run: comparisons of starts, errors against time, timing, and scenes hard to solve."""

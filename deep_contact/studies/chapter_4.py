@@ -1,4 +1,4 @@
-"""Shared by the figures of chapter 4: Keras layers on arrays, random layers, feature maps of a trained network."""
+"""Functions for the figures of chapter 4: Keras layers on arrays, random layers, feature maps of a trained network."""
 
 from __future__ import annotations
 
@@ -9,7 +9,11 @@ import numpy as np
 
 
 def by_keras(layer: str, *arguments, x: np.ndarray, weights: Sequence[np.ndarray] = (), **options) -> np.ndarray:
-    """The output of the Keras layer `layer` for x, both without a batch, float64."""
+    """Return the output of a Keras layer for an array x, float64.
+
+    layer: name of the layer's class. arguments, options: arguments of this class. x: input without the batch dimension,
+    which the output does not have either. weights: arrays of the layer's weights, in Keras's order.
+    """
     from deep_contact.cnn.backend import keras
 
     made = getattr(keras.layers, layer)(*arguments, dtype="float64", **options)
@@ -19,20 +23,26 @@ def by_keras(layer: str, *arguments, x: np.ndarray, weights: Sequence[np.ndarray
 
 
 def relu(x):
-    """Eq 4.4, max(0, x)."""
+    """Return max(0, x), element by element (Eq 4.4)."""
     return np.maximum(0.0, x)
 
 
 def random_layers(sizes: Sequence[int], seed: int) -> list[tuple]:
-    """(weights, bias) between layers of `sizes` neurons: He normal weights (Table 5.2) and small biases."""
+    """Return random (weights, bias) for each pair of neighbouring fully connected layers.
+
+    sizes: number of neurons in each layer. The weights, (n, m), are drawn from the He normal distribution (Table 5.2),
+    and the biases, (m,), from a normal distribution with standard deviation 0.1.
+    """
     rng = np.random.default_rng(seed)
     return [(rng.normal(0.0, np.sqrt(2 / n), (n, m)), rng.normal(0.0, 0.1, m)) for n, m in pairwise(sizes)]
 
 
 def feature_maps(model, image: np.ndarray, names: Sequence[str], training: bool = False) -> dict[str, np.ndarray]:
-    """The outputs of some layers for one image (n_y, n_x, c): name -> (n_y', n_x', maps), float32.
+    """Return the outputs of some layers of a network for one image: name of the layer -> (n_y', n_x', maps), float32.
 
-    training: whether dropout is at work. All other layers stay in inference if `model.trainable` is false.
+    model: a `keras.Model`. image: input, (n_y, n_x, c). names: names of the layers. training: whether the layers run in
+    training mode, in which dropout is active. If `model.trainable` is false, all layers but dropout stay in inference
+    mode.
     """
     from deep_contact.cnn.backend import keras
 
@@ -41,5 +51,5 @@ def feature_maps(model, image: np.ndarray, names: Sequence[str], training: bool 
 
 
 def strongest(maps: np.ndarray) -> int:
-    """Index of the map with the largest standard deviation. maps: (n_y, n_x, number of maps)."""
+    """Return the index of the map with the largest standard deviation. maps: (n_y, n_x, number of maps)."""
     return int(maps.std(axis=(0, 1)).argmax())

@@ -1,8 +1,8 @@
-"""Experiments with trained networks: what chapter 5 of the thesis says about them.
+"""Functions for the figures and tables of chapter 5 that use networks.
 
-The layers of a network (Figure 5.8, Tables 5.1 and 5.2), the CNN start beside the others (Figure 5.9), time to a
-threshold by stage (Figure 5.10). Keras and TensorFlow are imported by the functions that need them; networks run on one
-thread.
+They are the layers of a network (Figure 5.8, Tables 5.1 and 5.2), the comparison of the CNN start with other starts
+(Figure 5.9), and the time to a threshold by stage (Figure 5.10). The functions that need Keras and TensorFlow import
+them. Networks run on one thread.
 """
 
 from __future__ import annotations
@@ -26,14 +26,15 @@ from deep_contact.studies import starts
 # ---- networks ----
 
 NETWORKS = {"cnn": "models/model.h5", "far field": "models/far_field.h5"}
-"""Start -> model file of Figures 5.9 and 5.10: the thesis's network, and ours."""
+"""Start -> model file, for Figures 5.9 and 5.10. "cnn" is our copy of the thesis's network."""
 
 
 def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
-    """Facts from the cards of some model files, read without TensorFlow.
+    """Return facts about some networks from the cards of their model files, which are read without TensorFlow.
 
-    Returns name -> {"file", "architecture", "parameters": None if the card has none, "visits": number of states shown
-    in training, repetitions included}. Raises FileNotFoundError for a missing file, before anything long begins.
+    networks: name -> model file. Returns name -> {"file", "architecture", "parameters": number of weights, or None if
+    the card has none, "visits": number of states shown in training, with repetitions}. Raises FileNotFoundError if a
+    file is missing. Figures call this function first, so that the error comes before long computations.
     """
     infos = {}
     for name, path in networks.items():
@@ -44,12 +45,12 @@ def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
 
 
 def card_of(path) -> dict:
-    """The card of a model file, which describes its training."""
+    """Return the card of a model file, which describes how the network was trained."""
     return read_metadata(network_file(path))["card"]
 
 
 def image_network(path) -> LearnedModel:
-    """The network on images of a model file. Raises ValueError where the file has a far-field network."""
+    """Return the network of a model file. Raises ValueError if it is a far-field network, not a network on images."""
     model = load_model(path)
     if isinstance(model, FarFieldModel):
         expected = f"a network on images, such as {NETWORKS['cnn']}"
@@ -60,16 +61,17 @@ def image_network(path) -> LearnedModel:
 # ---- layers: Figure 5.8, Tables 5.1 and 5.2 ----
 
 LAYER_TITLES = {"Conv2D": "Convolution", "MaxPooling2D": "MaxPooling"}
-"""Class of a Keras layer -> its name in Table 5.1, if they differ."""
+"""Name of a Keras layer's class -> name of the layer in Table 5.1, for the layers whose names differ."""
 
 PRINTED = json.loads((Path(__file__).parent / "printed_tables.json").read_text(encoding="utf-8"))
 
 
 def thesis_layers(channels: int = 5) -> list[dict]:
-    """The layers of the thesis's network as built here, input included; channels: of its input.
+    """Return a description of each layer of our copy of the thesis's network, the input included.
 
-    Each {"kind": as in Table 5.1, "shape": of the output without the batch, "parameters", "trainable", "kernel": sides
-    of a convolution's kernel or None}.
+    channels: number of channels of the input. A description is a dict: {"kind": name as in Table 5.1, "shape": shape of
+    the output without the batch, "parameters": number of parameters, "trainable": number of trainable parameters,
+    "kernel": sides of a convolution's kernel, or None}.
     """
     one_thread()
     from deep_contact.cnn import architectures
@@ -89,12 +91,19 @@ def thesis_layers(channels: int = 5) -> list[dict]:
 # ---- the CNN start beside the others: Figure 5.9 ----
 
 THESIS_VISITS = 18_208 * 1000
-"""Number of states that the thesis's training showed, in 1,000 epochs. Its authors' log held out 4,553 more."""
+"""Number of states shown to the thesis's network in training: 18,208 states in each of 1,000 epochs.
+
+According to its authors' log, 4,553 further states were held out.
+"""
 
 
 @dataclass(frozen=True)
 class ReadBySharing:
-    """A network's start, its image read back as the thesis's authors programmed it: each node shares out its value."""
+    """A start that a network predicts, with its image read back as the thesis's authors programmed it.
+
+    Each node distributes its value among the contacts within the support radius (`sph.share_out`). model: path or name
+    of a model file of a network on images.
+    """
 
     model: str
 
@@ -105,9 +114,9 @@ class ReadBySharing:
 
 
 READ_NETWORK = {"": "", ", shared": ", shared (authors' code),"}
-"""Suffix of the name of a network's start, by the way its image is read back -> this suffix in claims."""
+"""Suffix in the name of a network's start -> suffix in the text of claims. It tells how the image is read back."""
 
 
 def label_of(network: Mapping) -> str:
-    """The name of a network of `networks_info` in claims: the thesis's or ours, and its file."""
+    """Return the name of a network in claims, such as "CNN (model.h5)". network: an entry of `networks_info`."""
     return f"{'CNN' if network['architecture'] == 'thesis' else 'far field'} ({Path(network['file']).name})"

@@ -1,4 +1,7 @@
-"""Scenes that are hard on a solver, of the tests and of Figure 6.6, and the energy that a scene has."""
+"""Scenes that are hard to solve, for the tests and Figure 6.6, and the mechanical energy of a scene.
+
+Tests: tests/scripts/test_figure_6_6.py, tests/accuracy/test_stiffness.py
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,10 @@ from deep_contact.stepping import metrics
 
 
 def mechanical_energy(scene: State, bodies: Bodies) -> float:
-    """Kinetic energy, and potential energy above the lowest place in the box, J."""
+    """Return the sum of kinetic and potential energy of some circles in the box and gravity of a scene, J.
+
+    The potential energy is 0 at the lowest point of the box.
+    """
     x_min, y_min, x_max, y_max = scene.world.box
     gravity = np.asarray(scene.world.gravity)
     lowest = np.where(gravity < 0, (x_min, y_min), (x_max, y_max))
@@ -25,23 +31,32 @@ def mechanical_energy(scene: State, bodies: Bodies) -> float:
 
 
 def silo(n: int, *, radius: float = 1.0, **options) -> State:
-    """`column` in a silo one circle wide, its lid two circles above it."""
+    """Return a column of n circles in a silo as wide as one circle.
+
+    radius: radius of the circles, m. The upper wall is two diameters above the column. options: arguments of `column`.
+    """
     scene = column(n, radius=radius, width=2.0 * radius * (1 + WALL_SKIN), **options)
     return with_lid(scene, 2.0 * radius * (WALL_SKIN + (n + 2)))
 
 
 def with_lid(scene: State, top: float) -> State:
-    """The scene in a box whose upper wall is at y = `top`, m."""
+    """Return the scene with the upper wall of its box moved to y = `top`, m."""
     return scene.replace(world=replace(scene.world, box=(*scene.world.box[:3], top)))
 
 
 def with_bodies(scene: State, **fields) -> State:
-    """The scene with some fields of its bodies changed, and without contacts, so that they are found again."""
+    """Return the scene with some fields of its bodies changed.
+
+    The contacts are removed, so that the next step searches them again. fields: name of a field -> array.
+    """
     return scene.replace(bodies=scene.bodies._replace(**fields), contacts=None)
 
 
 def loaded_silo(n: int, ratio: float, *, at: int = -1) -> State:
-    """A silo of circles of radius 1 m, one of which (`at`) weighs `ratio` times as much as the others."""
+    """Return a silo of n circles of radius 1 m, in which one circle has `ratio` times the mass of the others.
+
+    at: index of this circle, from the lowest.
+    """
     scene = silo(n)
     mass = scene.bodies.mass.copy()
     mass[at] *= ratio
@@ -49,7 +64,11 @@ def loaded_silo(n: int, ratio: float, *, at: int = -1) -> State:
 
 
 def pyramid(rows: int) -> State:
-    """Circles in hexagonal order on a floor as wide as the lowest row, each row one shorter."""
+    """Return a pyramid of circles of radius 1 m in hexagonal order.
+
+    The lowest row has `rows` circles, and each other row has one circle less than the row below. The box is as wide as
+    the lowest row.
+    """
     places = [(row, i) for row in range(rows) for i in range(rows - row)]
     centres = [(WALL_SKIN + (1 + row + 2 * i), WALL_SKIN + (1 + np.sqrt(3) * row)) for row, i in places]
     side = 2 * (rows + WALL_SKIN)
@@ -57,12 +76,18 @@ def pyramid(rows: int) -> State:
 
 
 def channel(speed: float) -> State:
-    """Two circles that run into each other with closing `speed`, m/s, in a channel that they cannot leave."""
+    """Return two circles that approach each other in a closed channel hardly wider than a circle.
+
+    speed: relative velocity with which they approach, m/s.
+    """
     bodies = make_bodies([[9.0, 1.01], [21.0, 1.01]], velocity=[[speed / 2, 0], [-speed / 2, 0]])
     return State(name="channel", world=World(box=(0, 0, 30, 2.02), gravity=(0, 0)), bodies=bodies)
 
 
 def overlapping(share: float, n: int = 2) -> State:
-    """n circles without gravity, each overlapping the next by this share of the diameter: 1 is coinciding centres."""
+    """Return a row of n overlapping circles of radius 1 m, without gravity.
+
+    share: overlap of neighbouring circles over the diameter; with 1 their centres coincide.
+    """
     centres = np.column_stack([15.0 + 2.0 * (1 - share) * np.arange(n), np.full(n, 15.0)])
     return State(name=f"overlap_{n}", world=World(gravity=(0, 0)), bodies=make_bodies(centres))

@@ -1,4 +1,7 @@
-"""Circles in a long box, whose motions have known answers: Table 6.5, and the study of runs (`run_tradeoff.py`)."""
+"""Scenes of circles in a long box whose motion is known analytically, for Table 6.5 and `scripts/run_tradeoff.py`.
+
+Tests: tests/scripts/test_run_tradeoff.py
+"""
 
 from __future__ import annotations
 
@@ -15,17 +18,20 @@ G = -GRAVITY[1]
 
 
 def end(setting: Mapping, scene: State, seconds: float) -> State:
-    """The state of a run of a scene with a setting after `seconds`, s."""
+    """Simulate a scene for some time, and return the last state.
+
+    setting: solver and time step of the run, as for `setting_runs.Run`. seconds: simulated time, s.
+    """
     run = Run(scene, setting)
     run.advance(round(seconds / setting["dt"]))
     return run.state()
 
 
 def scene_of(places, *, slope=0.0, gravity=G, friction=0.0, restitution=0.0, segments=(), **bodies) -> State:
-    """Circles of radius 1 m in a box of 400 m × 40 m.
+    """Return a scene of circles of radius 1 m in a box of 400 m × 40 m.
 
-    slope: angle of the floor, degrees; the box stays upright, and gravity leans. bodies: further arguments of
-    `make_bodies`.
+    places: centres of the circles, (n, 2), m. slope: angle of the floor, degrees; the box stays upright, and the
+    gravity is tilted instead. gravity: acceleration, m/s². bodies: further arguments of `make_bodies`.
     """
     leaning = gravity * sin(radians(slope)), -gravity * cos(radians(slope))
     constants = {"friction": friction, "restitution": restitution, "segments": segments}

@@ -1,4 +1,7 @@
-"""Piles that studies start from: falling, settling or resting."""
+"""Piles with which studies start: falling, settling or resting.
+
+Tests: tests/studies/test_no_past.py, tests/starts/test_impulses_at_rest.py, tests/analysis/test_bounds.py
+"""
 
 from __future__ import annotations
 
@@ -21,22 +24,29 @@ KINDS = {
     "settling": (1.0, 0.5),
     "resting": (1.0, 0.05),
 }
-"""Kind of pile -> its least number of contacts per circle, and the limit of its root mean square speed, m/s."""
+"""Kind of pile -> (smallest number of contacts per circle, upper limit of the root mean square speed, m/s)."""
 
 THOROUGH = NNCG(sweeps=300)
-"""Solver of the steps of a pile."""
+"""Solver with which `pile` simulates."""
 
 SETTLE = BatchedPGS(sweeps=10, tolerance=None, position_sweeps=3)
-"""Solver of the steps in which a packing settles."""
+"""Solver with which `packed_pile` simulates the settling of a packing."""
 
 
 def scene(n_bodies: int, seed: int, **options) -> State:
-    """The thesis's scene for 100 circles and fewer, otherwise a loose lattice that falls. options: of either."""
+    """Return the thesis's scene if there are at most 100 circles, otherwise a loose lattice of circles that falls.
+
+    options: arguments of `circles_in_box` or `lattice_in_box`, which make these scenes.
+    """
     return (circles_in_box if n_bodies <= 100 else lattice_in_box)(n_bodies, seed=seed, **options)
 
 
 def pile(kind: str, n_bodies: int, seed: int, *, solver=THOROUGH, most: int = 2000, make=scene) -> State:
-    """A scene of `make`, simulated until it is a pile of this kind (`KINDS`), but for at most `most` steps."""
+    """Make a scene, simulate it until it is a pile of some kind, and return its state.
+
+    kind: one of `KINDS`. solver: solver of the simulation. most: largest number of time steps; after these the state is
+    returned as it is. make: function (n_bodies, seed=seed) -> scene.
+    """
     contacts, slowest = KINDS[one_of("kind", kind, KINDS)]
     state = make(n_bodies, seed=seed)
     for _ in range(most // 10):
@@ -47,11 +57,11 @@ def pile(kind: str, n_bodies: int, seed: int, *, solver=THOROUGH, most: int = 20
 
 
 def packing(n_bodies: int, rng, *, smallest: float = 0.8, width: float = 1.0, friction: float = 0.5) -> State:
-    """Unequal circles close to a hexagonal packing, which do not have to fall before they are a pile.
+    """Return a scene of unequal circles close to a hexagonal packing, which need not fall before they form a pile.
 
-    rng: numpy Generator. Radii are drawn evenly from `smallest` to 1 m. With a smallest radius of 0.8 m no crystal
-    forms, and there are about as many contacts as in a pile that was dropped. width: width of the packing over its
-    width as a square.
+    rng: numpy Generator. smallest: smallest radius, m; the radii are drawn uniformly between it and 1 m. With 0.8 m no
+    crystal forms, and there are about as many contacts as in a pile that was dropped. width: width of the packing over
+    the width that it has as a square. friction: Coulomb's μ.
     """
     columns, pitch, jitter = math.ceil(math.sqrt(n_bodies) * width), 1.85, 0.02
     row, column = np.divmod(np.arange(n_bodies), columns)
@@ -63,23 +73,23 @@ def packing(n_bodies: int, rng, *, smallest: float = 0.8, width: float = 1.0, fr
 
 
 def packed_pile(n_bodies: int, seed: int = 0, *, steps: int) -> State:
-    """A `packing` that has settled for `steps` time steps."""
+    """Return the state of a `packing` that has settled for `steps` time steps."""
     scene = packing(n_bodies, np.random.default_rng(seed))
     return simulate(scene, steps=steps, solver=SETTLE).state
 
 
 def rms_speed(state: State) -> float:
-    """Root mean square speed of the circles, m/s."""
+    """Return the root mean square speed of the circles, m/s."""
     return float(np.sqrt(np.mean((state.bodies.velocity**2).sum(axis=1))))
 
 
 def states_of(start: State, *, count: int, every: int = 4) -> list[State]:
-    """`count` solved states of the run that continues from a pile, one in `every` steps."""
+    """Continue the simulation of a pile, and return `count` solved states, one every `every` steps."""
     return solved_states(start, steps=count * every, solver=NNCG(sweeps=2000))[every - 1 :: every]
 
 
 def without_past(state: StateWithContacts) -> StateWithContacts:
-    """The state with contacts that carry no impulses."""
+    """Return the state with all impulses of its contacts set to 0, so that they carry none from a step before."""
     nothing = np.zeros(state.contacts.count)
     contacts = state.contacts._replace(
         normal_impulse=nothing, tangent_impulse=nothing, normal_start=nothing, tangent_start=nothing

@@ -1,10 +1,13 @@
-"""The study of runs: scenes × settings × seeds -> rows of errors and times; its scenes; the settings of presets.
+"""The study of runs: errors and computing times of solver settings on many scenes, and the settings of the presets.
 
-`observed_rows` measures errors: every setting runs the same scenes, by the functions of `deep_contact.measure`.
-`timed_rows` measures times, one after the other, on a machine that does nothing else. The study (run_tradeoff.py), the
-check on other scenes (run_tradeoff_verify.py) and Figure 6.16 are lists of scenes and settings for them.
+`observed_rows` measures errors. Every setting simulates the same scenes, by the functions of `deep_contact.measure`.
+`timed_rows` measures times, one after the other, on a machine that runs nothing else. The study (run_tradeoff.py), the
+check on other scenes (run_tradeoff_verify.py) and Figure 6.16 pass their lists of scenes and settings to these
+functions.
 
-Time steps are those of circles of r = 1 m under g = 9.81 m/s²: what counts is Δt √(g / r).
+Time steps are given for circles of r = 1 m under g = 9.81 m/s². In other scenes Δt √(g / r) has to be the same.
+
+Tests: tests/studies/test_run_study.py, tests/accuracy/test_presets.py
 """
 
 from __future__ import annotations
@@ -39,7 +42,7 @@ from deep_contact.state.validation import one_of
 from deep_contact.studies import piles
 
 RESULTS = {"results": "data/reference/run_tradeoff.json"}
-"""The option of figures that draw the study: the path of its results file."""
+"""Default options of the figures that draw the study: the path of the study's results file."""
 
 INTERVAL = 5 * TIME_STEP
 """Time between two observations of a run, s."""
@@ -49,21 +52,24 @@ SECONDS = 6.0
 
 
 def gas(n_bodies: int, *, gap: float = 1.0, restitution: float = 0.8, seed: int = 0) -> State:
-    """Circles on a loose lattice without gravity, whose velocities are drawn; collisions cool it.
+    """Return a gas: circles on a loose lattice without gravity, with random velocities.
 
-    The largest speed is the one for which the time steps are meant, `FASTEST` √(g r) with r = 1 m and g = 9.81 m/s².
+    Collisions dissipate its energy. The largest possible speed is the one for which the time steps are meant, `FASTEST`
+    √(g r) with r = 1 m and g = 9.81 m/s². gap: gap between neighbouring circles over their diameter. restitution:
+    Newton's e.
     """
     rng = np.random.default_rng(seed)
     lattice = lattice_in_box(n_bodies, gap=gap, restitution=restitution, gravity=(0.0, 0.0), seed=rng)
-    most = FASTEST * math.sqrt(-0.5 * GRAVITY[1])  # of a component of the velocity
+    most = FASTEST * math.sqrt(-0.5 * GRAVITY[1])  # largest component of a velocity, m/s
     velocity = rng.uniform(-most, most, (n_bodies, 2))
     return lattice.replace(name=f"gas_{n_bodies}", bodies=lattice.bodies._replace(velocity=velocity))
 
 
 def two_densities(n_bodies: int, *, ratio: float, heavy: str = "mixed", seed: int = 0) -> State:
-    """A pile in which some circles are `ratio` times as dense as the others.
+    """Return the scene of a pile in which some circles have `ratio` times the density of the others.
 
-    heavy: the dense circles: "mixed", 30 % drawn at random; "above" or "below", that half at the start.
+    heavy: which circles are dense. With "mixed", a random 30 % of them. With "above" or "below", the half that is above
+    or below the median height at the start.
     """
     pile = piles.scene(n_bodies, seed)
     height = pile.bodies.position[:, 1]
@@ -76,9 +82,10 @@ def two_densities(n_bodies: int, *, ratio: float, heavy: str = "mixed", seed: in
 
 
 def dam_break(n_bodies: int, *, aspect: float = 2.0, room: float = 4.0, seed: int = 0, **options) -> State:
-    """A loose lattice, `aspect` times as high as wide, that collapses at the left wall of a box `room` times as wide.
+    """Return a loose lattice of circles that stands at the left wall of a wider box and collapses.
 
-    options: those of `lattice_in_box`.
+    aspect: height of the lattice over its width. room: width of the box over the width of the lattice. options:
+    arguments of `lattice_in_box`.
     """
     lattice = lattice_in_box(n_bodies, columns=max(1, round(math.sqrt(n_bodies / aspect))), seed=seed, **options)
     _, _, width, height = lattice.world.box
@@ -86,10 +93,11 @@ def dam_break(n_bodies: int, *, aspect: float = 2.0, room: float = 4.0, seed: in
 
 
 def piston(n_bodies: int, *, speed: float = 1.0, seed: int = 0, **options) -> State:
-    """A loose lattice that falls beside a moving wall, which pushes the circles along the floor at `speed`, m/s.
+    """Return a loose lattice of circles that falls beside a moving wall, which pushes them along the floor.
 
-    The box is so wide that the pile does not reach its other side: between two walls a row of circles would be a rod,
-    which bursts when it fills the gap. options: those of `lattice_in_box`.
+    The box is so wide that the pile does not reach the opposite wall. Otherwise a row of circles that fills the gap
+    between both walls would be compressed until it breaks apart.
+    speed: speed of the moving wall, m/s. options: arguments of `lattice_in_box`.
     """
     lattice = lattice_in_box(n_bodies, seed=seed, **options)
     _, _, width, height = lattice.world.box
@@ -117,37 +125,53 @@ KINDS = {
     "hopper": {"make": hopper},
     "piston": {"make": piston},
 }
-"""Kind of scene -> arguments of `piles.scene`, or of the function `make`."""
+"""Kind of scene -> arguments of the function that makes it. The function is the entry "make", or else `piles.scene`."""
 
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
-"""The setting taken for the limit of small steps. Figure 6.2: the next longer steps give the same within the noise."""
+"""The setting whose runs stand for the limit of small time steps, and against which errors are measured.
+
+Figure 6.2 shows that the next longer time steps give the same results within the noise.
+"""
 
 
 def scene(kind: str, n_bodies: int, seed: int) -> State:
-    """A scene of a kind. Piles: the thesis's scene for 100 circles and fewer, otherwise a loose lattice that falls."""
+    """Return a scene of some kind. kind: one of `KINDS`.
+
+    The scene of a pile is the thesis's for at most 100 circles, otherwise a loose lattice that falls.
+    """
     options = dict(KINDS[kind])
     return options.pop("make", piles.scene)(n_bodies, seed=seed, **options)
 
 
-# ---- scenes × settings × seeds -> rows ----
+# ---- rows of errors and times, for scenes, settings and seeds ----
 
 Key = tuple[str, int, str]
-"""Kind of scene, number of circles, name of the setting."""
+"""Key of a row: kind of scene, number of circles, name of the setting."""
 
 
 @functools.lru_cache(256)
 def made(make: Callable, kind: str, n_bodies: int, seed: int) -> State:
-    """A scene, made once for all its settings: drawing the thesis's pile takes longer than most runs of it."""
+    """Return the scene make(kind, n_bodies, seed), from a cache if it has been made for another setting.
+
+    The thesis's pile is drawn at random, which takes longer than most of the runs.
+    """
     return make(kind, n_bodies, seed)
 
 
 def observed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_):
-    """The observation (`errors.observe`) of one run of a scene with a setting."""
+    """Simulate a scene with a setting, and return the observation of the run (`errors.observe`).
+
+    make, kind, n_bodies, seed: as for `made`. setting: solver and time step. seconds: simulated time, s.
+    """
     return observe(states_of(made(make, kind, n_bodies, seed), setting, round(seconds / INTERVAL), INTERVAL))
 
 
 def timed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_) -> float:
-    """Mean computing time of the scene's Δt in a run with a setting, μs."""
+    """Return the mean computing time of a run for each Δt of the scene in simulated time, μs.
+
+    Δt is the time step that the scene has by default, not that of the setting. make, kind, n_bodies, seed, setting,
+    seconds: as for `observed`.
+    """
     start = made(make, kind, n_bodies, seed)
     return 1e6 * setting_runs.timed(start, setting, seconds) * start.dt / seconds
 
@@ -161,17 +185,19 @@ def observed_rows(
     work: Path,
     jobs: int | Executor,
 ) -> dict[Key, dict]:
-    """A row with errors for each case.
+    """Measure the errors of each case. Returns its key -> a row, a dict with the setting and its errors.
 
-    cases: key -> (setting, number of seeds). The first case of a scene is its reference, which has no errors.
-    make: (kind, n_bodies, seed) -> scene, a function that can be imported. seconds: duration of a run, s. work: folder
-    in which finished parts are kept, so that a study of the same commit does not compute them again.
+    make: function (kind, n_bodies, seed) -> scene, which other processes can import. cases: key -> (setting, number of
+    seeds). The first case of a scene is its reference, which has no errors. seed: seed from which those of the scenes
+    are made. seconds: simulated time of a run, s. work: folder for the results of finished runs, so that a study of the
+    same commit does not compute them again. jobs: number of processes, or an executor.
     """
     common = {"seconds": seconds, "commit": commit()}
     parts = [(key, common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": setting})
              for key, (setting, count) in cases.items() for one in parallel.seeds(seed, count)]  # fmt: skip
-    parts.sort(key=lambda part: part[0][1] / part[1]["setting"]["dt"])  # quick runs first
-    seen: dict[Key, list] = {key: [] for key in cases}  # in the order of seeds: a run meets the reference of its scene
+    parts.sort(key=lambda part: part[0][1] / part[1]["setting"]["dt"])  # runs that take little time come first
+    # The observations of a case are in the order of seeds, so that those of a scene and its reference have one index.
+    seen: dict[Key, list] = {key: [] for key in cases}
     tasks = [part for _, part in parts]
     for (key, _), stored in zip(parts, done("observed", partial(observed, make), tasks, work=work, jobs=jobs)):
         seen[key].append(observation(stored))
@@ -189,9 +215,11 @@ def observed_rows(
 def timed_rows(
     make: Callable, rows: Mapping[Key, dict], times: Mapping[Key, int], *, seed: int, seconds: float, work: Path
 ) -> list[dict]:
-    """The rows with "times", μs, and "us", their median. Nothing else should run meanwhile.
+    """Measure the computing times of some cases. Returns the rows with "times", μs, and "us", the median of these.
 
-    times: key -> number of times to measure, each in a process of its own, on a scene of another seed.
+    No other program should run at the same time. make, seed, seconds, work: as for `observed_rows`. rows: result of
+    `observed_rows`. times: key -> number of times to measure. Each is measured in a new process, on a scene with
+    another seed.
     """
     common, took = {"seconds": seconds, "commit": commit()}, {key: [] for key in rows}
     scenes = parallel.seeds(seed, max(times.values(), default=0))
@@ -207,15 +235,16 @@ def timed_rows(
             for key, row in rows.items()]  # fmt: skip
 
 
-# ---- parts that are kept: an interrupted study goes on where it stopped ----
+# ---- results of finished runs in files, so that an interrupted study can be resumed ----
 
 
 def done(name: str, function: Callable, parts: Sequence[dict], *, work: Path, jobs: int | Executor) -> list:
-    """The results of a function for several parts, in the order of the parts. Each part is a dict of its arguments.
+    """Call a function once for each part of a study, and return its results in the order of the parts.
 
-    A result is read from its file in the folder `work`. Where there is no file, or JSON cannot read it, the result is
-    computed and stored. name: begin of the files' names. function: can be imported, and returns what JSON can hold.
-    jobs: as in `parallel.finished`; a process stores its own results.
+    If the folder `work` has a file with the result of a part, and JSON can read it, the result is read from this file.
+    Otherwise it is computed and stored. name: beginning of the files' names. function: function that other processes
+    can import, and whose result JSON can hold. parts: keyword arguments of the function for each part. work: folder of
+    the files. jobs: number of processes or an executor, as for `parallel.finished`; each process stores its results.
     """
     work.mkdir(parents=True, exist_ok=True)
     run = partial(_done, name, function, work)
@@ -232,28 +261,37 @@ def _done(name: str, function: Callable, work: Path, arguments: dict):
     return result
 
 
-# ---- what the study says ----
+# ---- results of the study: the cheapest settings that satisfy a preset ----
 
 
 def read_study(path) -> dict:
-    """A stored study: "plain", its rows of plain piles with errors, and "presets", the `presets` of all its rows.
+    """Read the results of the study. Returns {"plain": rows of plain piles that have errors, "presets": `presets`}.
 
-    path: from the current folder, or else of a file that comes with the package.
+    path: path of the results file, relative to the current folder or to the folder of the package's files.
     """
     rows = results.read_results(shipped.find(path))["data"]["rows"]
     return {"plain": [row for row in rows if row["kind"] == "plain" and row["errors"]], "presets": presets(rows)}
 
 
 def presets(rows: Sequence[Mapping]) -> list[dict]:
-    """For each size and preset our setting, and the cheapest setting of each rival that keeps the preset.
+    """Return the cheapest setting of each engine whose errors are within the tolerances of a preset.
 
-    Returns [{"n_bodies", "preset", "kinds": kind -> ours, "peers": engine -> on plain piles, "ratio"}]. A setting is
-    {"name", "us", "times", "seeds"}, or None where there is none. Ours is what `simulate(accuracy=…)` takes, which
-    leaves a margin (`presets.keeping`); a rival's setting may use up the tolerances.
-    ratio: time of the fastest rival over ours on plain piles, [value, low, high], None where it is unknown. The value
-    is the median over the processes that measured times. Low is the least of these ratios and of those that follow with
-    our errors at the upper ends of their intervals and theirs at the lower ends. High is the largest, with ours at the
-    lower and theirs at the upper ends.
+    rows: rows of the study, with errors and times. Returns a list with a dict for each number of circles and preset:
+
+    * "n_bodies": number of circles;
+    * "preset": name of the preset;
+    * "kinds": kind of scene -> setting of this package;
+    * "peers": name of another engine -> its setting for plain piles;
+    * "ratio": [value, low, high], the time of the fastest other engine over the time of this package, for plain piles.
+
+    A setting is {"name", "us", "times", "seeds"}, or None if none is within the tolerances. For this package it is the
+    setting that `simulate(accuracy=…)` takes, which leaves a margin to the tolerances (`presets.keeping`). For another
+    engine no margin is required.
+
+    The value of the ratio is the median over the processes that measured times. Errors have confidence intervals, and
+    low and high show their effect. For low, settings are also chosen with our errors at the upper bounds of their
+    intervals and the other engines' errors at the lower bounds, and the smallest ratio of all processes is taken. For
+    high the bounds are exchanged, and the largest ratio is taken. Entries of the ratio are None if they are unknown.
     """
     known = [row for row in rows if row["us"] is not None and row["errors"] and row.get("known", 0.0) <= KNOWN]
 
@@ -271,13 +309,14 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
         mine = cheapest(n, None, preset, at=ours)
         rivals = [rival for name in peers.ENGINES if (rival := cheapest(n, name, preset, at=theirs))]
         fastest = min(rivals, key=lambda one: one["us"], default=None)
-        return mine and fastest and [a / b for a, b in zip(fastest["times"], mine["times"])]  # of the same processes
+        # Times with the same index were measured in the same process.
+        return mine and fastest and [a / b for a, b in zip(fastest["times"], mine["times"])]
 
     def ratio(n, preset):
         value, low, high = (ratios(n, preset, *ends) for ends in ((0, 0), (2, 1), (1, 2)))
         if value is None:
             return [None] * 3
-        # The values count too: the margin of `accuracy=` can make ours dearer than the settings at the ends.
+        # The minimum includes the value's ratios: the margin can make our setting slower than those at the bounds.
         return [float(np.median(value)), low and min(*low, *value), high and max(*high, *value)]
 
     kinds = {n: dict.fromkeys(row["kind"] for row in rows if row["n_bodies"] == n) for n in sizes_of(rows)}
@@ -294,10 +333,13 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
 
 
 def rounded(error: float) -> float:
-    """An error with three digits, as in the presets' table, so that table and study choose the same settings."""
+    """Return an error rounded to three significant digits.
+
+    The table of the presets has errors with three digits. So the table and the study choose the same settings.
+    """
     return float(f"{error:.3g}")
 
 
 def sizes_of(rows: Iterable[Mapping]) -> list[int]:
-    """The numbers of circles of the rows, ascending."""
+    """Return the numbers of circles that occur in the rows, ascending."""
     return sorted({row["n_bodies"] for row in rows})

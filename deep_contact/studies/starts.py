@@ -1,7 +1,11 @@
-"""The thesis's experiments: a scene, some starts, a solver → convergence rates (sections 3.4, 5.1 and 5.4).
+"""The thesis's experiments: convergence rates of a solver from several starts (sections 3.4, 5.1 and 5.4).
 
-Starts are compared in two ways. Paired: one reference run makes the states, and every start solves the same states, so
-that only the start differs. Independent, as in the thesis: every start has a run of its own.
+A start is the impulses from which the solver begins. The convergence rate θ is the largest change of an impulse in a
+sweep, N·s. Starts are compared in two modes. In the mode "paired", one reference run makes states, and each of them is
+solved from every start, so that only the start differs. In the mode "independent", as in the thesis, each start has a
+simulation of its own.
+
+Tests: tests/starts/test_starts.py, tests/studies/test_chapter_5.py, tests/studies/test_verdicts.py
 """
 
 from __future__ import annotations
@@ -33,48 +37,58 @@ from deep_contact.studies import verdicts
 from deep_contact.studies.timing import interleaved
 
 THRESHOLD = constants.THETA_TOLERANCE
-"""θ at which a solve counts as done, where its sweeps are counted, N·s."""
+"""Convergence rate θ down to which sweeps are counted, N·s."""
 
 THESIS_WORLD = {"friction": constants.FRICTION, "restitution": constants.RESTITUTION, "dt": constants.TIME_STEP}
-"""Options of every scene that figures simulate."""
+"""Physical options of the thesis's scene: Coulomb's μ, Newton's e and the time step, s."""
 
 THESIS_SCENE = {"n_bodies": 100, "size": 30.0} | THESIS_WORLD
-"""Options of the thesis's scene (`scene_of`)."""
+"""Options of the thesis's scene (`scene_of`): number of circles, side of the box, m, and `THESIS_WORLD`."""
 
 THESIS_SETTINGS = THESIS_SCENE | {"steps": 600, "sweeps": 3000, "scenes": 12}
-"""Options of the thesis's comparisons: its scene, its steps, its sweeps a step; fewer scenes than there."""
+"""Options of the thesis's comparisons: scene, number of time steps, sweeps in a step, and number of scenes.
+
+The thesis has more scenes.
+"""
 
 THOROUGH = PGS()
-"""Solver of the states of a run, to the tolerance of the thesis's authors' code."""
+"""Solver of the states of a run. Its tolerance is that of the thesis's authors' code."""
 
 MODES = ("paired", "independent")
+"""Modes of comparison; the module's docstring explains them."""
 
 REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
-"""Solver of the reference of velocity errors. It sweeps on from a solution, so that no start is favoured."""
+"""Solver of the reference for velocity errors. It continues from a solution, so that it favours none of the starts."""
 
 TRANSFERS = {"sph": "thesis", "sph spline": "spline"}
-"""Start -> transfer of `Sph`: its image is read as Algorithm 4 prints it, or as the thesis's authors programmed it."""
+"""Start -> transfer of `Sph`. The image is read back as Algorithm 4 prints it, or as the authors programmed it."""
 
 READ = {"sph": "bilinear (printed)", "sph spline": "spline (authors' code)"}
-"""Start -> the way back from its image, in the words of claims."""
+"""Start -> the words of claims for the way in which the start's image is read back."""
 
 SPACINGS = {
     "0.25 to 0.75 m (text, code)": (0.25, 0.5, 0.75),
     "0.25 to 1 m (code's search, d ≤ r)": (0.25, 0.5, 0.75, 1.0),
 }
-"""Source -> spacings d that are compared, m. The thesis has no list: its text names 0.25 and 0.5, the code 0.75."""
+"""Source of the numbers -> spacings d of the grid that are compared, m.
+
+The thesis has no list. Its text names 0.25 m and 0.5 m, and its authors' code has 0.75 m.
+"""
 
 SPACING = 0.5
-"""d = h that the thesis chooses, m."""
+"""Grid spacing d and support radius h that the thesis chooses, m. They are equal."""
 
 CHOSEN = {name: {"spacing": SPACING, "transfer": transfer} for name, transfer in TRANSFERS.items()}
-"""Start -> fields of `Sph`: d = h = 0.5 m, which the thesis chooses, read back in both ways."""
+"""Start -> fields of `Sph`, with the thesis's choice d = h = 0.5 m and the start's transfer."""
 
 
 def solved_states(
     scene: State, *, steps: int, solver=THOROUGH, every: int = 1, contacts_only: bool = True
 ) -> list[StateWithContacts]:
-    """Solved states of a run, one in `every` steps, by default only those with contacts."""
+    """Simulate a scene, and return solved states of the run, one every `every` steps.
+
+    steps: number of time steps. contacts_only: whether states without contacts are left out.
+    """
     states = []
 
     def keep(state: State, record) -> None:
@@ -86,18 +100,26 @@ def solved_states(
 
 
 def sweeps_to(theta: np.ndarray, threshold: float = THRESHOLD) -> int:
-    """Number of sweeps until θ is at most the threshold, or of all sweeps if θ never is."""
+    """Return the number of sweeps until θ is at most the threshold.
+
+    If θ never is, the number of all sweeps is returned.
+    theta: θ after each sweep, (sweeps,), N·s. threshold: N·s.
+    """
     within = np.flatnonzero(theta <= threshold)
     return int(within[0]) + 1 if within.size else theta.size
 
 
 def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> dict[str, np.ndarray]:
-    """{"theta": mean θ after each sweep, Eq 2.30, (sweeps,), "sweeps": `sweeps_to` of each solve}, from all θ."""
+    """Return the convergence of some solves: {"theta": mean θ after each sweep, N·s, "sweeps": `sweeps_to` of each}.
+
+    thetas: θ after each sweep of a solve, N·s, an array for each solve. sweeps: largest number of sweeps, the length of
+    "theta" (Eq 2.30).
+    """
     return {"theta": mean_theta(thetas, sweeps), "sweeps": np.array([sweeps_to(theta) for theta in thetas])}
 
 
 def _seconds_of(start, state: State, solver) -> tuple[float, float]:
-    """Times of a start, and of a solve from its impulses, for a state, s: each the least of three."""
+    """Return the computing time of a start's impulses and that of a solve from them, s, each the least of three."""
     impulse = start(state, solver)
     both = {"start": lambda: start(state, solver), "solve": lambda: solve_contacts(state, solver=solver, start=impulse)}
     took = interleaved(both, repeats=3)
@@ -112,13 +134,16 @@ def paired(
     velocity_sweeps: Sequence[int] = (),
     seconds: bool = False,
 ) -> dict[str, dict[str, np.ndarray]]:
-    """`convergence_of` every start on the same states, each solved with `sweeps` sweeps.
+    """Solve the same states from every start. Returns name of the start -> result of `convergence_of`.
 
-    starts: name -> start, as `simulate` takes it; or names of starts alone. velocity_sweeps: numbers of sweeps after
-    which the relative velocity errors are measured, against the solution that `REFERENCE` has swept on. seconds:
-    whether times are measured; nothing else should run meanwhile. Returns start -> results of `convergence_of`, with
-    velocity_sweeps also "velocity": errors, a row for each state, not finite where there was nothing to solve; with
-    seconds also "seconds": times of the start and of the solve of each state, (states, 2), s, each the least of three.
+    states: solved states. starts: name -> start, as `simulate` takes it; or names of starts alone. sweeps: number of
+    sweeps of each solve. velocity_sweeps: numbers of sweeps after which the relative velocity errors are measured,
+    against the solution of `swept_on`. seconds: whether computing times are measured, during which no other program
+    should run.
+
+    With `velocity_sweeps`, a result also has "velocity", the errors, (states, len(velocity_sweeps)). They are not
+    finite if no impulses were needed. With `seconds`, it has "seconds", (states, 2), the time of the start and of the
+    solve, s, each the least of three.
     """
     from deep_contact.cnn.evaluation import velocity_errors
 
@@ -141,7 +166,7 @@ def paired(
 
 
 def swept_on(state: State) -> State:
-    """A solved state with its solution swept on until `REFERENCE` converges."""
+    """Return a solved state with a more accurate solution, which `REFERENCE` computes from its impulses."""
     contacts = state.contacts
     solution = solve_contacts(state, solver=REFERENCE, start=(contacts.normal_impulse, contacts.tangent_impulse))
     better = {"normal_impulse": solution.normal_impulses, "tangent_impulse": solution.tangent_impulses}
@@ -149,7 +174,10 @@ def swept_on(state: State) -> State:
 
 
 def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> dict[str, np.ndarray]:
-    """`convergence_of` the steps with contacts of a run with a start, each solved with `sweeps` sweeps."""
+    """Simulate a scene with a start. Returns the `convergence_of` all steps that have contacts.
+
+    start: start of every time step. steps: number of time steps. sweeps: number of sweeps in each step.
+    """
     thetas = []
 
     def keep(state: State, record) -> None:
@@ -162,7 +190,10 @@ def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> d
 
 @dataclass(frozen=True)
 class RoundedCopy:
-    """A start: the solution itself, each impulse rounded to `digits` significant digits."""
+    """A start that is the solved impulses, rounded to some significant digits and projected on the friction cone.
+
+    digits: number of significant digits.
+    """
 
     digits: int
 
@@ -173,10 +204,10 @@ class RoundedCopy:
 
 
 def start_of(description) -> WarmStart:
-    """A start from its description in a figure's options.
+    """Return a start for its description in a figure's options.
 
-    A name, a dict with the fields of `Sph`, {"model": path} for a network, which runs on one thread, or {"digits": k}
-    for a `RoundedCopy`.
+    description: a name, a dict with the fields of `Sph`, {"model": path} for a network, which then runs on one thread,
+    or {"digits": k} for a `RoundedCopy`.
     """
     if not isinstance(description, Mapping):
         return warm_start_of(description)
@@ -189,9 +220,10 @@ def start_of(description) -> WarmStart:
 
 
 def scene_of(options: Mapping, seed: int) -> State:
-    """The thesis's scene, with the options of `THESIS_SCENE` that are set; others are ignored.
+    """Return the thesis's scene, with some of its options changed.
 
-    "n_bodies" may be a pair (low, high): the number of circles is then drawn from this range.
+    options: name -> value. Names that are not in `THESIS_SCENE` are ignored. "n_bodies" may be a pair (low, high), from
+    which the number of circles is drawn at random, both included.
     """
     rng, world = np.random.default_rng(seed), {name: options.get(name, own) for name, own in THESIS_SCENE.items()}
     n_bodies, dt = world.pop("n_bodies"), number("dt", world.pop("dt"), above=0)
@@ -201,13 +233,17 @@ def scene_of(options: Mapping, seed: int) -> State:
 
 
 def _run(task: tuple, *, steps, sweeps, **scene_options) -> dict[str, dict]:
-    """One part of `compare_starts`. task: (mode, seed, starts), small enough to be sent to another process."""
+    """Compare starts on one scene in one mode. Returns name of the start -> result of `convergence_of`.
+
+    task: (mode, seed of the scene, descriptions of the starts), small enough to be sent to another process. The other
+    arguments are those of `compare_starts`.
+    """
     mode, seed, descriptions = task
     scene = scene_of(scene_options, seed)
     starts = {name: start_of(description) for name, description in descriptions.items()}
     if mode == "independent":
         return {name: independent(scene, start, steps=steps, sweeps=sweeps) for name, start in starts.items()}
-    # The states are solved with as many sweeps as the starts get, as in the thesis's copy of the world.
+    # The states are solved with as many sweeps as the comparison has, like the thesis's copy of the world.
     return paired(solved_states(scene, steps=steps, solver=PGS(sweeps=sweeps, tolerance=None)), starts, sweeps=sweeps)
 
 
@@ -223,11 +259,13 @@ def compare_starts(
     progress: Callable | None = None,
     **scene_options,
 ) -> dict:
-    """The thesis's comparison of starts over `scenes` scenes, as data of a results file.
+    """Do the thesis's comparison of starts over several scenes. Returns data for a results file.
 
-    starts: name -> description (`start_of`). modes: names among `MODES`. scene_options: options of `scene_of`.
-    Returns {"sweep": numbers of sweeps (k,), "threshold": `THRESHOLD`, N·s, mode: {name: curves}}. The curves of a
-    start are a dict:
+    starts: name -> description (`start_of`). steps: number of time steps of a run. sweeps: number of sweeps in a step.
+    scenes: number of scenes. modes: some of `MODES`. seed: seed from which those of the scenes are made. jobs: number
+    of processes. progress: function that shows the progress, as for `parallel_map`. scene_options: options of
+    `scene_of`. Returns {"sweep": numbers of sweeps (k,), "threshold": `THRESHOLD`, N·s, mode: {name: curves}}. The
+    curves of a start are a dict:
 
     * "theta": mean θ after each number in "sweep", (k,), N·s;
     * "sweeps": {"mean", "median"} of the sweeps until θ is at most `THRESHOLD`;
@@ -240,12 +278,12 @@ def compare_starts(
     tasks = [(mode, scene, some) for scene in seeds(seed, scenes) for mode in modes for some in together[mode]]
     run = partial(_run, steps=steps, sweeps=sweeps, **scene_options)
     done = parallel_map(run, tasks, jobs=jobs, progress=progress, text="scenes and starts")
-    sample = np.unique(np.round(np.geomspace(1, sweeps, 160)).astype(np.int64))  # even on a logarithmic axis
+    sample = np.unique(np.round(np.geomspace(1, sweeps, 160)).astype(np.int64))  # evenly spaced on a logarithmic axis
     data = {"sweep": sample.tolist(), "threshold": THRESHOLD} | {mode: {} for mode in modes}
     for mode in modes:
         for name in starts:
             parts = [part[name] for task, part in zip(tasks, done) if task[0] == mode and name in part]
-            # Scenes differ in their number of states; every state counts the same.
+            # Scenes have different numbers of states. The weights give every state the same weight.
             weights = [part["sweeps"].size for part in parts]
             counts = np.concatenate([part["sweeps"] for part in parts])
             curves = np.array([part["theta"][sample - 1] for part in parts])
@@ -259,7 +297,10 @@ def compare_starts(
 
 
 def table_of_starts(data: dict) -> list[list]:
-    """Rows of a figure's table: sweeps to the threshold, and θ after some sweeps and after all, in both modes."""
+    """Return the rows of a figure's table, one for each mode and start.
+
+    A row has the sweeps to the threshold, and θ after some numbers of sweeps. data: result of `compare_starts`.
+    """
     last = data["sweep"][-1]
     shown = [s for s in (10, 100, 1000) if s < last] + [last]
     rows = [["start", "states", "mean sweeps", "median", *(f"θ({s})" for s in shown)]]
@@ -271,13 +312,14 @@ def table_of_starts(data: dict) -> list[list]:
 
 
 FLOOR = 1e-9
-"""Smaller θ are drawn at this value, N·s."""
+"""Smallest θ in pictures, N·s. Smaller values are drawn at this one."""
 
 
 def draw_comparison(data: dict, title: str, over: str | None = "builtin", hidden: Sequence[str] = ()):
-    """Draw θ by sweep in independent runs, without the `hidden` starts, and the ratios of starts near the start `over`.
+    """Draw θ against the sweep in independent runs, and the ratios of θ to that of the start `over`.
 
-    over: the start whose θ divides; None draws no ratios. Returns the figure.
+    Returns the figure. data: result of `compare_starts`. over: name of the start; None draws no ratios. If a start's
+    ratio after ten sweeps is at most 0.1, its ratios are not drawn. hidden: names of the starts whose θ is not drawn.
     """
     figure, panels = plotting.subplots(1, 2 if over else 1, size=(10.0 if over else 6.0, 4.6), squeeze=False)
     (left, *right), starts, sweeps = panels[0], data["independent"], data["sweep"]
@@ -296,12 +338,15 @@ def draw_comparison(data: dict, title: str, over: str | None = "builtin", hidden
 
 
 def bands(data: dict, of: str = "95 %, all sweeps at once") -> str:
-    """The words of a title on the bands; empty for a single scene, which has none."""
+    """Return the part of a title that explains the bands, or "" if there is a single scene and so no band.
+
+    data: result of `compare_starts`. of: words for the kind of the bands.
+    """
     return f"; bands: {of}" if verdicts.scenes_of(data["independent"]) > 1 else ""
 
 
 def draw_theta(ax, data: dict, names: Sequence[str]) -> None:
-    """Draw the mean θ by sweep of some starts in independent runs, with the quartiles of the scenes."""
+    """Draw the mean θ against the sweep for some starts in independent runs, with the quartiles of the scenes."""
     styles = plotting.styles_of(list(data["independent"]))
     for name in names:
         start = data["independent"][name]
@@ -315,7 +360,10 @@ def draw_theta(ax, data: dict, names: Sequence[str]) -> None:
 
 
 def draw_ratios(ax, data: dict, names: Sequence[str], over: str) -> None:
-    """Draw θ of some starts over θ of the start `over`, in independent runs, with the bands of `verdicts`."""
+    """Draw the ratio of some starts' θ to that of the start `over` in independent runs, with their confidence bands.
+
+    names: names of the starts. The bands are those of `verdicts.intervals`.
+    """
     styles = plotting.styles_of(list(data["independent"]))
     for name in names:
         plotting.band(ax, data["sweep"], *verdicts.intervals(data["independent"], name, over), **styles[name])
@@ -335,9 +383,11 @@ def convergence_figure(
     hidden: Sequence[str] = (),
     modes: Sequence[str] = ("independent",),
 ) -> Figure:
-    """A figure of `compare_starts`' data with the thesis's settings; starts: name -> description.
+    """Return a `Figure` that compares starts by `compare_starts` with the thesis's settings.
 
-    A start that is described as in `CHOSEN` takes its spacing from the figure's option "spacing".
+    starts: name -> description (`start_of`). If a description has only the fields "spacing" and "transfer", as in
+    `CHOSEN`, the figure's option "spacing" replaces its spacing. claims: function (data) -> `Claim`s. sweeps: number of
+    sweeps in a step. over, hidden: as for `draw_comparison`. modes: some of `MODES`.
     """
     plain_sph = {"spacing", "transfer"}
     chosen = {name: of for name, of in starts.items() if isinstance(of, Mapping) and of.keys() == plain_sph}
@@ -354,16 +404,22 @@ def convergence_figure(
 
 
 def grid_of(d: float, h: float, start: str = "sph") -> str:
-    """Name of an SPH start by spacing, support, and way back (a start of `TRANSFERS`): "d = 0.25, h = 0.1, spline"."""
+    """Return the name of an SPH start in figures, such as "d = 0.25 m, h = 0.1 m, spline".
+
+    d: spacing of the grid, m. h: support radius, m. start: one of `TRANSFERS`, which tells how the image is read back.
+    """
     size = f"d = h = {d:g} m" if d == h else f"d = {d:g} m, h = {h:g} m"
     return size + start.removeprefix("sph").replace(" ", ", ")
 
 
 def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[int] = ()) -> Figure:
-    """Figure 5.4 or 5.5: the thesis's search for grid spacing and support radius of a kernel (section 5.1.3).
+    """Return Figure 5.4 or 5.5: the thesis's search for the best grid spacing d and support radius h (section 5.1.3).
 
-    Its data are those of `compare_starts`, in independent runs, for all pairs (d, h) by their names (`grid_of`), in
-    both ways back; and "numbers": number of circles -> the same data for the pairs d = h, read bilinearly.
+    The figure's data are those of `compare_starts` in independent runs. A start is a pair (d, h), with the name of
+    `grid_of`, and its image is read back in both ways of `TRANSFERS`. The entry "numbers" of the data is number of
+    circles -> data of the pairs with d = h, read back bilinearly.
+    id: "5.4" or "5.5". kernel: name of the kernel. claims: function (data) -> `Claim`s. numbers: numbers of circles
+    for the entry "numbers".
     """
     title = f"Which support h and spacing d are best with {kernel}?"
 
@@ -411,11 +467,15 @@ def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[in
 
 
 SHOWN = 95
-"""The scales of colours and of line widths in snapshots end at this percentile of the positive values."""
+"""Percentile of the positive values at which the scales of colours and of line widths in snapshots end."""
 
 
 def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: str) -> Figure:
-    """Figure 3.6 or 5.1: snapshots of the thesis's scene at these times, s, coloured by speed or impulse."""
+    """Return Figure 3.6 or 5.1: snapshots of the thesis's scene at some times.
+
+    times: simulated times of the snapshots, s. colour_by: quantity that colours the circles, as for
+    `plotting.draw_state`.
+    """
 
     def compute(options, seed, jobs, progress):
         scene = scene_of(options, seed)
@@ -423,7 +483,7 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
         states = solved_states(scene, steps=max(steps) + 1, contacts_only=False)
         return {"snapshots": [plotting.state_data(states[step]) for step in steps]}
 
-    def end(values):  # so that one impact does not make all others alike
+    def end(values):  # upper end of a scale: a percentile, since one impact would make all other values look equal
         positive = [value for of_state in values for value in of_state if value > 0]
         return float(np.percentile(positive, SHOWN)) if positive else 0.0
 

@@ -1,8 +1,8 @@
-"""How long calls take. All times are in seconds.
+"""Measurement of computing times. All times are in seconds.
 
-Calls that are compared run in turns, after a run of each to warm up, so that a change of the processor's speed meets
-all of them. Of several times the least is kept by default: other programs disturbed it least. Nothing else should run
-meanwhile.
+Functions that are compared are called in turns, after a warm-up call of each. So a change of the processor's speed
+affects all of them. By default the smallest of several times is returned, because other programs disturbed it least. No
+other program should run at the same time.
 """
 
 from __future__ import annotations
@@ -23,12 +23,14 @@ def interleaved(
     clock: Callable[[], float] = time.perf_counter,
     setup: Mapping | None = None,
 ) -> dict:
-    """Times of several callables: name -> `reduce` of a list of `repeats` times, s, after a warm-up run of each.
+    """Measure the computing times of several functions. Returns name -> reduced time, s.
 
-    runs: name -> callable without arguments; they take turns in this order. setup: name -> callable that is called
-    before each run of that name and is not timed. The release of a run's result, which `timeit` would count, is not
-    timed either. The garbage collector waits until all runs are done. clock: such as `time.thread_time`, which counts
-    only the work of this thread.
+    The functions are called in turns, once to warm up and then `repeats` times. A call's time does not include the
+    release of its result, which `timeit` would include. The garbage collector is off during the calls.
+    runs: name -> function without arguments. repeats: number of timed calls of each function. reduce: function that
+    makes one number of the list of times. clock: function that returns a time, s; `time.thread_time` counts only the
+    computing time of this thread. setup: name -> function that is called before each call of the function with this
+    name, and is not timed.
     """
     times, setup, was_enabled = {name: [] for name in runs}, setup or {}, gc.isenabled()
     gc.disable()
@@ -63,11 +65,11 @@ print(json.dumps({"seconds": took, "heavy": heavy, "memory_mb": memory}))
 
 
 def fresh(code: str) -> dict:
-    """Time, packages and memory of Python code in a process of its own.
+    """Run Python code in a new process, and measure its time, its imports and its memory.
 
-    Returns {"seconds": without the interpreter's start, "heavy": packages that it loads, "memory_mb": largest resident
-    memory, with the interpreter's, or None where it is unknown}. (`getrusage` returns at least the memory of the parent
-    process.)
+    Returns {"seconds": time of the code, s, without the start of the interpreter, "heavy": names of the large packages
+    that the code imports, "memory_mb": largest resident memory of the process, MiB, or None if it is unknown}. The
+    memory is read from /proc, because `getrusage` would return at least the memory of the parent process.
     """
     done = subprocess.run([sys.executable, "-c", _PROBE, code], stdout=subprocess.PIPE, text=True, check=True)
     return json.loads(done.stdout.splitlines()[-1])

@@ -1,9 +1,10 @@
-"""Verdicts on claims about starts, by the thesis's own measure: the mean θ after each sweep (Eq 2.30).
+"""Verdicts on claims about starts, by the thesis's own measure: the mean convergence rate θ after each sweep (Eq 2.30).
 
-A claim says that one start's θ over another's lies within a range. It is judged by the ratio at all stored numbers of
-sweeps and its band over scenes (`band`). With 95 % probability the whole curve lies within the band, so that all
-sweeps may be judged at once. The resamplings draw the same scenes for both starts, so that what is common to both
-cancels. A verdict rests on a stretch of sweeps that takes at least `LEAST` of the logarithmic axis (`ranges`).
+A start is the impulses from which the solver begins. A claim says that the ratio of two starts' θ lies within a range.
+It is judged by the ratio after each stored number of sweeps, and by a confidence band of this curve over scenes
+(`band`). The whole curve lies within the band with a probability of 95 %, so that all numbers of sweeps may be judged
+at once. The bootstrap draws the same scenes for both starts, so that the variation that both share cancels. A verdict
+counts only if it is the same over a range of sweeps that takes at least `LEAST` of the logarithmic axis (`ranges`).
 """
 
 from __future__ import annotations
@@ -16,55 +17,62 @@ from deep_contact.figures.results import Claim
 from deep_contact.measure.errors import interval
 
 FEWEST = 10
-"""Least number of scenes with which a claim is judged."""
+"""Smallest number of scenes with which a claim is judged."""
 
 SMALLEST = 1e-15
-"""θ below which a solve has come to rest, N·s: the rounding of impulses of some N·s in float64."""
+"""Smaller θ are replaced by this value, N·s, the rounding error of impulses of a few N·s in float64."""
 
 LEAST = 0.1
-"""Shortest stretch of sweeps that is judged, as a share of the logarithmic axis of sweeps."""
+"""Length of the shortest range of sweeps that is judged, as a share of the logarithmic axis of sweeps."""
 
 SHOWN = (1, 10, 100, 1000)
-"""Numbers of sweeps after which `measured` shows a ratio."""
+"""Numbers of sweeps after which a claim's `measured` shows the ratio."""
 
 FASTER = (0.0, 1.0)
-"""Range of the ratio of θ for a start that is faster than another."""
+"""Range of the ratio of a start's θ to another start's θ, if the first is faster."""
 
 MUCH_FASTER = (0.0, 0.5)
-"""Range of the ratio for a start that leaves at most half of the other's θ."""
+"""Range of the ratio, if the first start's θ is at most half of the other's."""
 
 SLOWER = (1.0, np.inf)
-"""Range of the ratio for a start that is slower."""
+"""Range of the ratio, if the first start is slower."""
 
 ALIKE = (0.8, 1.25)
-"""Range of the ratio for a start whose θ equals the other's within a quarter."""
+"""Range of the ratio, if the larger θ is at most 1.25 times the smaller one."""
 
 NAMED = {FASTER: "below 1", MUCH_FASTER: "below 0.5", SLOWER: "above 1", ALIKE: "0.8 to 1.25"}
+"""Range of the ratio -> its name in `measured`."""
 
 RATIO = "ratio and its interval"
-"""Entry of `measured` that decides a claim on one number: [ratio, low, high]."""
+"""Name of the entry of `measured` that decides a claim on one number. The entry is [ratio, low, high]."""
 
 BY_SWEEP = "θ ratio and its band, by sweep"
-"""Entry of `measured` that decides a claim on curves: number of sweeps -> [ratio, low, high]."""
+"""Name of the entry of `measured` for a claim on curves. The entry is number of sweeps -> [ratio, low, high]."""
 
 Names = str | Sequence[str]
 
 
 def scenes_of(part: Mapping) -> int:
-    """Number of scenes in one mode of `starts.compare_starts`' data."""
+    """Return the number of scenes. part: the data of one mode in the result of `starts.compare_starts`."""
     return len(next(iter(part.values()))["scenes"]["states"])
 
 
 def intervals(part: Mapping, first: Names, second: Names, *, of: Callable | None = None) -> np.ndarray:
-    """[ratio, low, high], (3, k), by `band`: largest mean θ of the first starts over smallest of the second.
+    """Return the ratio of two starts' mean θ after each number of sweeps, with its band: [ratio, low, high], (3, k).
 
-    part: one mode of `starts.compare_starts`' data. of: function that takes one number from each curve before the
-    ratio, (rows, k) -> (rows,), such as `rise`; the result is then (3, 1), by `interval`.
+    If there are several first starts, the largest of their θ is taken. If there are several second starts, the smallest
+    of their θ is taken. The band is that of `band`.
+    part: the data of one mode in the result of `starts.compare_starts`. first, second: names of starts. of: function
+    that reduces each curve to one number before the ratio is taken, (rows, k) -> (rows,), such as `rise`. The result is
+    then (3, 1), with the bounds of `interval`.
     """
     count = scenes_of(part)
 
     def means(names, drawn):
-        """Mean θ of each start over the states of the scenes drawn, (starts, rows, k). drawn: (rows, scenes)."""
+        """Return the mean θ of each start over the states of the scenes drawn, (starts, rows, k), N·s.
+
+        names: names of starts. drawn: numbers of the scenes in each resampling, (rows, scenes).
+        """
         times, curves = (drawn[:, :, None] == np.arange(count)).sum(axis=1), []
         for scenes in (part[name]["scenes"] for name in ([names] if isinstance(names, str) else names)):
             weights = times * np.asarray(scenes["states"])
@@ -77,11 +85,13 @@ def intervals(part: Mapping, first: Names, second: Names, *, of: Callable | None
 
 
 def band(ratios: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: int = 2000) -> np.ndarray:
-    """[ratios, low, high], (3, k): k positive ratios, and the band within which all of them lie with 95 %.
+    """Return k positive ratios and their confidence band, [ratios, low, high], (3, k).
 
-    ratios: function from the scenes drawn, (rows, count), one row for each resampling, to (rows, k). count: number of
-    scenes; a single scene has no band. The bootstrap deviations of the logarithms are divided by their standard
-    deviation at each k, and the largest over all k counts (the single-step max-t of Westfall and Young 1993).
+    All k ratios lie within the band with a probability of 95 %. The band is made by bootstrap over scenes. The
+    deviations of the logarithms of the ratios are divided by their standard deviation at each k. The 95 % quantile of
+    the largest of these over k gives the width of the band (the single-step max-t of Westfall and Young 1993).
+    ratios: function from numbers of scenes, (rows, count), a row for each resampling, to ratios, (rows, k). count:
+    number of scenes; with one scene, low and high equal the ratios. resamples: number of resamplings.
     """
     middle = np.log(ratios(np.arange(count)[None])[0])
     if count == 1:
@@ -94,9 +104,10 @@ def band(ratios: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: i
 
 
 def ranges(sweeps: Sequence[int], where: np.ndarray) -> str:
-    """The stretches of `sweeps` in which `where` is true, "1 to 180, 240 to 3000"; "" for none.
+    """Return the ranges of sweeps in which `where` is true as a text, "1 to 180, 240 to 3000", or "" for none.
 
-    Left out are stretches shorter than `LEAST` of the logarithmic axis from the first to the last of all sweeps.
+    sweeps: numbers of sweeps, ascending, (k,). where: flags, (k,). Ranges shorter than `LEAST` of the logarithmic axis
+    from the first to the last of `sweeps` are left out.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], where.astype(int), [0]])))
     pairs = ((sweeps[a], sweeps[b - 1]) for a, b in zip(edges[::2], edges[1::2]))
@@ -105,12 +116,14 @@ def ranges(sweeps: Sequence[int], where: np.ndarray) -> str:
 
 
 def verdict(ratios: np.ndarray, within: tuple[float, float], sweeps: Sequence[int] | None = None) -> tuple:
-    """(holds, verdict) of a band by sweep: "holds, sweeps 1 to 180; does not hold, sweeps 250 to 3000".
+    """Judge the claim that a ratio lies within a range. Returns (holds, verdict).
 
-    A claim holds at the sweeps at which the whole band lies within the range `within`, and does not hold where the
-    whole band lies outside; `ranges` of such sweeps count. holds: True where the claim holds in some range and fails in
-    none, False where it fails in some and holds in none, else None. ratios: the band, or the interval of one number.
-    sweeps: those of the band; None for the interval of one number.
+    The verdict is a text such as "holds, sweeps 1 to 180; does not hold, sweeps 250 to 3000". The claim holds after a
+    number of sweeps if low and high of the band there lie within the range. It does not hold if both lie below the
+    range or both lie above. Only `ranges` of such numbers of sweeps count. `holds` is True if the claim holds in some
+    of these and fails in none, False if it fails in some and holds in none, and None otherwise.
+    ratios: [ratio, low, high], (3, k). within: (smallest, largest) ratio of the range. sweeps: numbers of sweeps of the
+    band, (k,); None for the interval of a single number, k = 1.
     """
     (_, low, high), (least, most) = ratios, within
     where = {"holds": (low > least) & (high < most), "does not hold": (high < least) | (low > most)}
@@ -132,12 +145,12 @@ def judged(
     of: Callable | None = None,
     mode: str = "independent",
 ) -> Claim:
-    """The claim that θ of the first start over that of the second lies within a range, by sweep.
+    """Return the claim that the θ of the first start over the θ of the second lies within a range, judged by sweep.
 
-    data: result of `starts.compare_starts`. first, second: names of starts; of several first starts the largest θ
-    counts, of several second ones the smallest. of: see `intervals`; the claim is then on one number. mode: the mode
-    whose curves decide, by default independent runs, as in the thesis; `measured` also has the verdict of the other
-    mode, if the data have it.
+    data: result of `starts.compare_starts`. first, second: names of starts, as for `intervals`. text, thesis: fields of
+    the `Claim`. within: (smallest, largest) ratio of the range. of: function that reduces a curve to one number, as for
+    `intervals`; the claim is then about the ratio of these numbers. mode: the mode whose curves decide, by default
+    independent runs, as in the thesis. If the data have the other mode, its verdict is in `measured` as well.
     """
     ratios, count = intervals(data[mode], first, second, of=of), scenes_of(data[mode])
     if of is not None:
@@ -159,9 +172,10 @@ def judged_values(
     within: tuple[float, float] = FASTER,
     also: Mapping | None = None,
 ) -> Claim:
-    """The claim that the ratio of two means over scenes lies within a range.
+    """Return the claim that the ratio of two means over scenes lies within a range.
 
-    first, second: one number >= 0 for each scene, (scenes,). also: further entries of `measured`.
+    first, second: one number >= 0 for each scene, (scenes,). text, thesis: fields of the `Claim`. within: (smallest,
+    largest) ratio of the range. also: further entries of `measured`.
     """
     first, second = (np.asarray(values, dtype=float) for values in (first, second))
 
@@ -174,7 +188,10 @@ def judged_values(
 
 
 def _claim(text: str, thesis: str | None, count: int, within: tuple, measured: dict, judged: tuple) -> Claim:
-    """The claim with the result `judged` of `verdict`; open with fewer than `FEWEST` scenes."""
+    """Return the `Claim` for a result of `verdict`. With fewer than `FEWEST` scenes the claim is left open.
+
+    count: number of scenes. judged: the result of `verdict`. The other arguments are those of `judged_values`.
+    """
     holds, says = judged if count >= FEWEST else (None, f"open: {count} scene{'s' * (count > 1)}")
     low, high = within
     measured = {"scenes": count, **measured, "range": NAMED.get(within) or f"{low:g} to {high:g}"}
@@ -182,10 +199,16 @@ def _claim(text: str, thesis: str | None, count: int, within: tuple, measured: d
 
 
 def rise(theta: np.ndarray) -> np.ndarray:
-    """Sum of all rises of curves of θ by sweep, (rows, k) -> (rows,), decades, at least 1e-6: a start's instability."""
+    """Return the sum of all increases of log10 θ from sweep to sweep, (rows,), decades, at least 1e-6.
+
+    It measures how unstable the convergence from a start is. theta: curves of θ, (rows, k), N·s.
+    """
     return np.maximum(np.maximum(np.diff(np.log10(theta), axis=1), 0).sum(axis=1), 1e-6)
 
 
 def level(theta: np.ndarray) -> np.ndarray:
-    """Geometric mean of curves of θ over the stored sweeps, which lie evenly on a logarithmic axis, N·s."""
+    """Return the geometric mean of each curve of θ over the stored numbers of sweeps, (rows,), N·s.
+
+    The stored numbers of sweeps are evenly spaced on a logarithmic axis. theta: curves of θ, (rows, k), N·s.
+    """
     return np.exp(np.log(theta).mean(axis=1))

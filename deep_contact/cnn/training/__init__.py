@@ -1,8 +1,8 @@
-"""Training a network (section 5.3): `train`, and its settings, `TrainingConfig`.
+"""Training of a network (section 5.3): the function `train`, and its settings, `TrainingConfig`.
 
-The settings are in `config`, the driver with checkpoints and history in `run`, the networks on images, which Keras
-trains, in `network`, and the far-field network, trained through the solver, in `far_field_run`. All but `config` load
-TensorFlow.
+`config` has the settings. `run` has `train`. `network` has the base class of trainings with its checkpoints and its
+history, and the training of networks on images. `far_field_run` trains the far-field network through the solver.
+`curve` draws the history. `run`, `network` and `far_field_run` import TensorFlow.
 """
 
 from __future__ import annotations
@@ -19,6 +19,6 @@ if TYPE_CHECKING:
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)
 
-# oneDNN's convolutions train the thesis's network in 0.7 of the time on a processor without AVX-512, where they are not
-# TensorFlow's default. Its default predicts a single state sooner.
+# On a processor without AVX-512, oneDNN's convolutions are not TensorFlow's default. There they train the thesis's
+# network in 0.7 of the default's time. But the default predicts a single state sooner.
 os.environ.setdefault("TF_ENABLE_ONEDNN_OPTS", "1")

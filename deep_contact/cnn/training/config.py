@@ -1,4 +1,9 @@
-"""Settings of a training run. The import is light, so that `scripts/train.py --help` answers at once."""
+"""Settings of a training run.
+
+This module does not import TensorFlow, so that `scripts/train.py --help` answers at once.
+
+Tests: tests/cnn/test_training.py
+"""
 
 from __future__ import annotations
 
@@ -15,27 +20,29 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingConfig:
-    """Settings of a run. The defaults are those of the far-field network; `recipe` has those of the thesis's.
+    """Settings of a training run.
 
-    The loss of the far-field network is the velocity error after `sweeps` sweeps, through the solver; that of the
-    thesis's is the masked error of the image (Appendix B). Raises ValueError naming the field and the value.
+    The defaults are for the far-field network. `recipe` also has the settings of the thesis's network.
+    The loss of the far-field network is computed through the solver. It is the velocity error after each number of
+    `sweeps`, relative to that from Builtin's start, averaged over the numbers. The loss of the thesis's network is the
+    masked squared error of the image (Appendix B). Raises ValueError naming the field and the value.
     """
 
-    architecture: str = "far field"
-    options: dict = field(default_factory=dict)  # arguments of the network, for `architectures.build`
-    spacing: float = 1.0  # of the images, m, or mean radii for the far-field network
-    support: float = 1.0  # h of the splat, in the unit of the spacing
-    sweeps: tuple[int, ...] = (3, 10, 30)  # numbers of sweeps after which errors count, increasing
-    optimizer: str = "adam"  # with gradients of norm <= 1; or "sgd"; or "nesterov": sgd with momentum 0.9
+    architecture: str = "far field"  # or "thesis"
+    options: dict = field(default_factory=dict)  # arguments of the network for `architectures.build`
+    spacing: float = 1.0  # spacing of the images' nodes, m; in mean radii for the far-field network
+    support: float = 1.0  # support radius h of the splat, in the unit of the spacing
+    sweeps: tuple[int, ...] = (3, 10, 30)  # numbers of sweeps after which the loss takes the error, ascending
+    optimizer: str = "adam"  # with gradients clipped to norm 1; or "sgd"; or "nesterov", SGD with momentum 0.9
     schedule: str = "cosine"  # one of `schedules.SCHEDULES`
-    rate: float = 1.5e-3
-    epochs: int = 30
-    batch_size: int = 32
-    states_per_epoch: int | None = None  # number drawn for an epoch; None: all
-    validation_states: int = 1000  # about this number
-    fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)  # of the simulations: train, validation, test
-    precision: str = "float32"  # or "mixed_bfloat16", of the layers of a network on images; its weights are float32
-    seed: int = 0
+    rate: float = 1.5e-3  # learning rate that the schedule takes
+    epochs: int = 30  # number of epochs
+    batch_size: int = 32  # number of states in a batch
+    states_per_epoch: int | None = None  # number of states drawn for an epoch; None: all
+    validation_states: int = 1000  # approximate number of validation states
+    fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)  # shares of the simulations: training, validation, test
+    precision: str = "float32"  # of the layers; or "mixed_bfloat16" for networks on images, with float32 weights
+    seed: int = 0  # seed of the split, the first weights and the batches
 
     def __post_init__(self):
         one_of("architecture", self.architecture, ("thesis", "far field"))
@@ -54,7 +61,7 @@ class TrainingConfig:
         object.__setattr__(self, "fractions", tuple(map(float, self.fractions)))
 
     def spec(self) -> ImageSpec | FarFieldSpec:
-        """The images of this run."""
+        """Return the definition of the network's images in this run."""
         from deep_contact.cnn.far_field import FarFieldSpec
         from deep_contact.cnn.images import ImageSpec
 
@@ -63,7 +70,7 @@ class TrainingConfig:
 
 
 _IMAGES = {"architecture": "thesis", "spacing": 0.5, "support": 0.5, "batch_size": 200, "epochs": 1000}
-# Table 5.2: a fifth is held out. Of the other simulations an eighth is for the errors on the card.
+# Table 5.2 holds a fifth of the simulations out. An eighth of the others is the test set, for the errors on the card.
 _IMAGES |= {"fractions": (0.7, 0.2, 0.1), "states_per_epoch": 18_200, "validation_states": 1700}
 
 RECIPES = {
@@ -75,13 +82,17 @@ RECIPES = {
     | {"optimizer": "nesterov", "schedule": "scaled appendix b", "rate": 0.05}
     | {"options": {"dropout": [0, 0, 0, 0, 0.25], "weight_decay": 1e-4, "rank": 170}},
 }
-"""Name -> settings of a training. The thesis and its authors' code differ; models/README.md has both, with sources."""
+"""Name of a recipe -> settings that differ from the defaults of `TrainingConfig`.
+
+The thesis and its authors' code differ, and models/README.md has the settings of both, with sources.
+"""
 
 
 def recipe(name: str, **changes) -> TrainingConfig:
-    """The settings of a recipe by its name in `RECIPES`, with changes; `options` are changed one by one.
+    """Return the settings of a recipe.
 
-    Raises ValueError naming the field and the value.
+    name: one of `RECIPES`. changes: fields of `TrainingConfig` with other values. A change of `options` replaces only
+    the entries that it names. Raises ValueError naming the field and the value.
     """
     settings = RECIPES[one_of("recipe", name, RECIPES)]
     options = {**settings.get("options", {}), **changes.get("options", {})}
@@ -89,9 +100,10 @@ def recipe(name: str, **changes) -> TrainingConfig:
 
 
 def config_of(metadata: dict, **changes) -> TrainingConfig:
-    """The settings of the run that made a model file, with changes. metadata: of `model_file.read_metadata`.
+    """Return the settings of the run that made a model file.
 
-    Raises ValueError where the file holds no settings.
+    metadata: result of `model_file.read_metadata`. changes: fields of `TrainingConfig` with other values. Raises
+    ValueError if the file has no settings.
     """
     stored = metadata["card"].get("config")
     if not isinstance(stored, dict):

@@ -1,4 +1,7 @@
-"""The learning curve of a run, from its history."""
+"""The learning curve of a training run, drawn from its history.
+
+Tests: tests/cnn/test_training.py
+"""
 
 from __future__ import annotations
 
@@ -9,16 +12,17 @@ from deep_contact.plot import plotting
 
 
 def read_history(path) -> list[dict]:
-    """The lines of a run's history.csv, as numbers."""
+    """Read the file history.csv of a run. Returns a dict for each epoch: name of the column -> number."""
     with open(path, encoding="utf-8", newline="") as file:
         return [{name: float(value) for name, value in line.items()} for line in csv.DictReader(file)]
 
 
 def learning_curve(history: list[dict], path) -> Path:
-    """Draw the losses against the epoch into a PNG, with the best validation loss marked. Returns its path.
+    """Draw the training and validation losses against the epoch into a PNG, and mark the best epoch. Returns the path.
 
-    For a network on images the picture also has the penalty of the weights, and the errors of its starts on held-out
-    states.
+    For a network on images the picture also has the penalty of the weights, and the errors of the predicted impulses on
+    validation states.
+    history: result of `read_history`. path: path of the PNG.
     """
     of_images = "penalty" in history[0]
     columns = {name: [line[name] for line in history] for name in history[0]}

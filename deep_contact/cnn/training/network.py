@@ -1,4 +1,7 @@
-"""A network in training, with the files of its run (`run`), and the networks on images."""
+"""The base class of training runs, which writes the files that `run` describes, and the training of networks on images.
+
+Tests: tests/cnn/test_training.py, tests/cnn/test_architectures.py
+"""
 
 from __future__ import annotations
 
@@ -25,19 +28,21 @@ from deep_contact.state.validation import expect
 
 
 def optimizer_of(config: TrainingConfig) -> keras.optimizers.Optimizer:
-    """The optimizer of a run, before its first step."""
+    """Return a new Keras optimizer with the settings of a run."""
     if config.optimizer == "adam":  # Eq 4.10
         return keras.optimizers.Adam(config.rate, global_clipnorm=1.0)
-    # Eq 4.7; Eq 4.9, the momentum of the authors' code
+    # SGD is Eq 4.7. With momentum it is Eq 4.9, and 0.9 is the momentum of the authors' code.
     momentum = {"momentum": 0.9, "nesterov": True} if config.optimizer == "nesterov" else {}
     return keras.optimizers.SGD(config.rate, **momentum)
 
 
 class NetworkRun:
-    """A network in training. Subclasses have `batches`, `step` and `validate`.
+    """A training run of a network. Subclasses define the methods `batches`, `step` and `validate`.
 
-    states, validation: states to learn from and to judge by, (k, 2), as of `Store.states`. box: the world's box for a
-    network of fixed size, or None. history: a dict for each finished epoch, by column.
+    config: settings. store: the simulations. states, validation: training and validation states as pairs (simulation,
+    index), (k, 2). network: the network to train, or None to build one. options: arguments of `architectures.build`.
+    Attributes: box is the world's box, m, for a network of fixed size, or None. history has a dict for each finished
+    epoch, name of the column in history.csv -> value.
     """
 
     box = None
@@ -48,29 +53,33 @@ class NetworkRun:
         self.model = network or architectures.build(config.architecture, **(options | config.options))
         self.optimizer = optimizer_of(config)
         self.optimizer.build(self.model.trainable_variables)
-        self.model.optimizer = self.optimizer  # where Keras's callbacks look for it
+        self.model.optimizer = self.optimizer  # Keras's callbacks read this attribute
         kinds = {"model": self.model.variables, "optimizer": self.optimizer.variables}
         self.variables = {f"{kind}_{i:04d}": v for kind, of_kind in kinds.items() for i, v in enumerate(of_kind)}
-        """All that a step changes: weights, statistics, random states of dropout, variables of the optimizer."""
+        """All variables that a training step changes.
+
+        They are weights, statistics of batch normalisation, random states of dropout, and variables of the optimizer.
+        """
         self.history = []
 
     def batches_per_epoch(self) -> int:
-        """Number of full batches of an epoch. Raises ValueError where the run has fewer states than a batch."""
+        """Return the number of full batches in an epoch. Raises ValueError if the run has fewer states than a batch."""
         states, size = len(self.states), self.config.batch_size
         expect(states >= size, f"batch_size: expected at most the {states} states to train on, got {size}")
         return max(1, min(states, self.config.states_per_epoch or states) // size)
 
     def resume(self, out: Path, about: dict) -> None:
-        """Go on from the run in the folder `out`, if there is one. about: fields of the card on the run.
+        """Load history and variables from the folder `out`, if it has a run.
 
-        Raises ValueError if that run was started with other settings.
+        about: entries for the card that describe the run; "config" has its settings. Raises ValueError if the run in
+        the folder was started with other settings.
         """
         self.out, self.about = out, about
         if (out / "last.npz").exists():
             with np.load(out / "last.npz", allow_pickle=False) as file:
                 stored = json.loads(file["state"].tobytes())
                 before, settings = stored["settings"], about["config"]
-                # The length of a run may change, unless the rates depend on it.
+                # The number of epochs may change, unless the learning rates depend on it.
                 free = () if settings["schedule"] in schedules.BY_LENGTH else {"epochs"}
                 for name in (before.keys() | settings.keys()).difference(free):
                     expected = f"{before.get(name)!r}, with which the run in {out} was started"
@@ -82,10 +91,11 @@ class NetworkRun:
                     variable.assign(file[name])
 
     def fit(self, callbacks: list, *, verbose: int) -> None:
-        """Train until all epochs are done or a callback ends it, and write the folder after each.
+        """Train until all epochs are done or a callback ends the run. The run's files are written after each epoch.
 
-        This is not `keras.Model.fit`, which takes no gradient from outside. Nor is it Keras's `BackupAndRestore`, which
-        loses the optimizer's state and the random states of dropout.
+        `keras.Model.fit` is not used, because it takes no gradient from outside of TensorFlow. Keras's
+        `BackupAndRestore` is not used, because it does not store the optimizer's state and the random states of
+        dropout. callbacks: Keras callbacks. verbose: 0, 1 or 2, as for `run.train`.
         """
         options = {"epochs": self.config.epochs, "steps": None, "verbose": verbose}
         called = keras.callbacks.CallbackList(callbacks, add_progbar=bool(verbose), model=self.model, **options)
@@ -110,11 +120,16 @@ class NetworkRun:
         called.on_train_end()
 
     def _end_epoch(self, epoch: int, measured: dict, seconds: float) -> None:
-        """Add an epoch to the history, and write all files of the folder."""
+        """Add an epoch to the history, and write the run's files.
+
+        epoch: number of the epoch, from 0. measured: name of the column in history.csv -> value. seconds: duration of
+        the epoch, s.
+        """
         rate = float(f"{float(self.optimizer.learning_rate):.7g}")
         best = min((line["validation_loss"] for line in self.history), default=math.inf)
         self.history.append({"epoch": epoch, "rate": rate} | measured | {"seconds": round(seconds, 2)})
-        # best.h5 first: a run that is killed before last.npz repeats the epoch with the same result.
+        # best.h5 is written before last.npz. A run that is killed between the two repeats the epoch with the same
+        # result.
         if measured["validation_loss"] < best:
             save_model(self.out / "best.h5", self.model, self.spec, self.card(), box=self.box)
         self.save()
@@ -124,14 +139,14 @@ class NetworkRun:
             writer.writerows(self.history)
 
     def save(self) -> None:
-        """Write last.npz."""
+        """Write the file last.npz, from which `resume` continues the run."""
         arrays = {name: keras.ops.convert_to_numpy(variable) for name, variable in self.variables.items()}
         state = {"settings": self.about["config"], "history": self.history}
         with replacing(self.out / "last.npz") as temporary, open(temporary, "wb") as file:
             np.savez(file, state=np.frombuffer(json.dumps(state).encode(), np.uint8), **arrays)
 
     def card(self) -> dict:
-        """The card of a model file: on the network, and on the run so far."""
+        """Return the card of a model file, which describes the network and the run up to now."""
         return {
             "architecture": self.config.architecture,
             "options": dict(self.config.options),
@@ -148,21 +163,25 @@ class NetworkRun:
 
 
 def masked_squared_error(y_true, y_pred):
-    """Loss of Appendix B (Eq 5.3): mean of (y_pred − y_true)² over the last axis, where y_true ≠ 0, else 0.
+    """Return the loss of Appendix B (Eq 5.3): the mean squared error over the last axis, masked by the label.
 
-    The mask is on the label: nodes without a label count in the mean, with an error of 0 for any prediction.
+    The squared error of a node is (y_pred − y_true)² where the label y_true is not 0. Where the label is 0, the squared
+    error is 0 for any prediction, and the node counts in the mean.
     """
     ops = keras.ops
-    off = ops.cast(y_pred, y_true.dtype) - y_true  # predictions have the layers' precision
+    off = ops.cast(y_pred, y_true.dtype) - y_true  # predictions may have a lower precision than the labels
     return ops.mean(ops.where(ops.not_equal(y_true, 0.0), ops.square(off), 0.0), axis=-1)
 
 
 JUDGED = 200
-"""Approximate number of validation states on which the network is judged as a start after each epoch."""
+"""Approximate number of validation states for which the predicted impulses are judged as a start after each epoch."""
 
 
 class ImageRun(NetworkRun):
-    """A run whose network predicts images of impulses. Raises ValueError where images have different shapes."""
+    """A training run of a network that predicts images of impulses.
+
+    Raises ValueError if the images of the simulations have different shapes.
+    """
 
     def __init__(self, config: TrainingConfig, store: Store, split: Split, network: keras.Model | None):
         worlds = [store.info(sim).header["world"] for sim in split.train + split.validation]
@@ -175,14 +194,14 @@ class ImageRun(NetworkRun):
             layer.dtype_policy = config.precision
         self.judged = [store.state(*state) for state in evenly(self.validation, JUDGED).tolist()]
         self.learned = LearnedModel(source=self.model, spec=self.spec)
-        metrics = [masked_squared_error]  # without the weights' penalty, which the loss has
+        metrics = [masked_squared_error]  # the loss alone; what Keras calls the loss includes the L2 penalty
         self.model.compile(self.optimizer, loss=masked_squared_error, metrics=metrics, jit_compile=False)
 
     def _images(self, states: np.ndarray, count: int):
         """Yield `count` batches of images.
 
-        states: (k, 2), the numbers of a simulation and of its state. A batch is a tuple: inputs (b, n_y, n_x, c) and
-        labels (b, n_y · n_x · t), float32, with c channels and t target maps.
+        states: pairs (simulation, index of the state), (k, 2). A batch is a tuple of inputs, (b, n_y, n_x, c), and
+        labels, (b, n_y · n_x · t), float32, with c channels and t target maps.
         """
         size = self.config.batch_size
         for k in range(count):
@@ -191,18 +210,25 @@ class ImageRun(NetworkRun):
             yield np.stack([input_image(state, self.spec) for state in batch]), np.stack(labels)
 
     def batches(self, epoch: int):
-        """The full batches of images of an epoch, in its order."""
+        """Return an iterator over the full batches of an epoch, in a random order that depends on seed and epoch."""
         order = np.random.default_rng((self.config.seed, epoch)).permutation(self.states)
         return self._images(order, self.batches_per_epoch())
 
     def step(self, batch) -> tuple[float, int]:
-        """One optimizer step. Returns the sum of the losses without the weights' penalty, and the number of states."""
+        """Do one step of the optimizer. Returns the sum of the states' losses, and the number of states.
+
+        The losses do not include the L2 penalty of the weights. batch: inputs and labels, as `_images` yields them.
+        """
         self.model.reset_metrics()
         loss = self.model.train_on_batch(*batch, return_dict=True)["masked_squared_error"]
         return float(loss) * len(batch[0]), len(batch[0])
 
     def validate(self) -> dict[str, float]:
-        """The loss on the validation states, the penalty of the weights, the errors of the start on `judged` states."""
+        """Measure the network on the validation states. Returns name of the column in history.csv -> value.
+
+        The values are the loss, the L2 penalty of the weights, and the errors of the predicted impulses as a start,
+        which `start_quality` measures on the states `judged`.
+        """
         steps = -(-len(self.validation) // self.config.batch_size)
         measured = self.model.evaluate(self._images(self.validation, steps), steps=steps, verbose=0, return_dict=True)
         losses = {"penalty": measured["loss"] - measured["masked_squared_error"]}

@@ -1,20 +1,24 @@
-"""A training run: simulated data, one epoch after the other, from wherever the last run was stopped.
+"""A training run, which can be interrupted and resumed after each epoch.
 
-A run is a folder:
+A run writes these files into its folder:
 
-| file        | holds                                                                                             |
+| file        | contents                                                                                          |
 |-------------|---------------------------------------------------------------------------------------------------|
-| last.npz    | after an epoch: weights, optimizer, random state, history and settings                            |
-| best.h5     | the model file of the epoch with the lowest validation loss so far                                |
-| history.csv | a line an epoch: number from 0, rate, mean loss, seconds;                                         |
-|             | validation_loss, for the far-field network over that of Builtin's start;                          |
-|             | validation_velocity_error, its mean before any sweep, and _k after k of `TrainingConfig.sweeps`;  |
-|             | for a network on images also penalty, of the weights, and validation_… of `start_quality`         |
-| model.h5    | at the end: the network of best.h5 with its card                                                  |
+| last.npz    | state after the last epoch: weights, optimizer, random states, history and settings               |
+| best.h5     | model file of the epoch with the lowest validation loss so far                                    |
+| history.csv | a line for each epoch: number of the epoch from 0, learning rate, mean loss, seconds;             |
+|             | validation_loss, for the far-field network divided by the loss of Builtin's start;                |
+|             | validation_velocity_error, mean velocity error before any sweep, and validation_velocity_error_k, |
+|             | mean velocity error after k sweeps, for each k of `TrainingConfig.sweeps`;                        |
+|             | for a network on images also penalty, the L2 penalty of the weights, and                          |
+|             | validation_…, the results of `evaluation.start_quality`                                           |
+| model.h5    | at the end of the run: the network of best.h5 with its card                                       |
 
-Each file is replaced as a whole, and the next epoch depends only on last.npz, the settings and the data. So a run that
-is killed at any moment and started again gives the history of an undisturbed run, to the last bit on the same machine.
-The epoch in which it was killed begins anew.
+Each file is replaced as a whole. An epoch depends only on last.npz, the settings and the data. So a run that is killed
+at any moment and started again gives the history of an uninterrupted run, bit by bit on the same machine. The epoch in
+which the run was killed is repeated from its beginning.
+
+Tests: tests/cnn/test_training.py
 """
 
 from __future__ import annotations
@@ -41,7 +45,11 @@ from deep_contact.stepping.problem import step_problem
 
 
 class Training(NamedTuple):
-    """A finished run: history (a dict for each epoch, by column), best epoch, path of model.h5 and the model in it."""
+    """The result of a finished run.
+
+    history: a dict for each epoch, name of the column in history.csv -> value. best_epoch: number of the epoch with the
+    lowest validation loss, from 0. path: path of model.h5. model: the model in this file.
+    """
 
     history: list[dict]
     best_epoch: int
@@ -61,16 +69,18 @@ def train(
     verbose: int | str = "auto",
     callbacks: Sequence[keras.callbacks.Callback] = (),
 ) -> Training:
-    """Train a network until all epochs are done or a callback ends the run. An unfinished run in `out` goes on.
+    """Train a network until all epochs are done or a callback ends the run.
 
-    data: folder of the simulations. out: folder of the run. from_model: path of a model file whose network the run
-    starts with; its images have to be those of the settings (`config.config_of` gives them). threads: number of
-    TensorFlow's threads (`limit_threads`), or None to leave it as it is. command: text for the card. held_out: number
-    of test states for the card. verbose: 0 prints nothing, 1 a progress bar, 2 a line for each epoch, "auto" 1 on a
-    terminal and 2 elsewhere; unless it is 0 the files are announced first. callbacks: Keras's; a run that goes on calls
-    them for the epochs that are left.
-    Raises ValueError where the run in `out` was started with other settings or data (`epochs` may differ unless the
-    rates depend on it); FloatingPointError where the loss is not finite.
+    If the folder `out` has an unfinished run, this run is resumed.
+    config: settings of the run. data: folder of the simulations. out: folder of the run. from_model: path of a model
+    file whose weights the network has at first; the spec of its images has to be that of the settings
+    (`config.config_of` returns such settings). threads: number of TensorFlow's threads (`limit_threads`), or None for
+    no change. command: the command that started the run, a text for the card. held_out: approximate number of test
+    states on which the errors on the card are measured. verbose: 0 prints nothing, 1 a progress bar, 2 a line for each
+    epoch, and "auto" is 1 on a terminal and 2 elsewhere; unless it is 0, the sizes of the files are printed first.
+    callbacks: Keras callbacks; a resumed run calls them for the remaining epochs only.
+    Raises ValueError if the run in `out` was started with other settings or data, where `epochs` may differ unless the
+    learning rates depend on it. Raises FloatingPointError if the loss is not finite.
     """
     store, out = Store(data), Path(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -102,7 +112,8 @@ def train(
     best_epoch = min(range(len(run.history)), key=lambda k: run.history[k]["validation_loss"])
     model = load_model(out / "best.h5")
     tested = evenly(store.states(split.test), held_out)
-    # With the contact problem, as in a run: without it a far-field network warns where all contacts are new.
+    # The contact problem is passed, as in a simulation. Without it, a far-field network would warn if all contacts are
+    # new.
     starts = BASELINES | {"cnn": lambda state, solver: model.predict(state, problem=step_problem(state))}
     errors = held_out_errors((store.state(*state) for state in tested.tolist()), starts)
     card = run.card() | {"best_epoch": best_epoch, "held_out": errors}
