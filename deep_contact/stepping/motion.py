@@ -10,7 +10,8 @@ import math
 from deep_contact.compiled import njit
 from deep_contact.state.constants import MAX_ROTATION
 from deep_contact.state.scales import FASTEST
-from deep_contact.stepping.continuous import any_fast, collide_fast, moved
+from deep_contact.stepping.continuous import any_fast, collide_fast
+from deep_contact.stepping.paths import moved
 from deep_contact.stepping.rows import INVERSE_MASS, V_S, V_X, V_Y
 from deep_contact.stepping.segments import has_moving
 

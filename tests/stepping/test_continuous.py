@@ -355,3 +355,20 @@ def test_a_fast_circle_that_flies_into_a_corner_meets_the_nearer_wall_first(sign
     sunk = 1.0 - np.abs(corner - run.positions[:, 0])
     assert sunk.max() < 0.02
     assert run.positions[1, 0, first] == pytest.approx(corner[first] - signs[first], abs=0.02)
+
+
+@pytest.mark.parametrize("count", [3, 12])
+def test_a_fast_fixed_circle_carries_all_that_it_meets(count):
+    """A roller of 2 m flies 8 m in a step, and meets small circles one after the other: none is behind it then.
+
+    The other 200 circles are at rest, so that the small ones are not fast relative to the mean motion.
+    """
+    met = np.column_stack([22.5 + 0.5 * np.arange(count), np.linspace(18.8, 21.2, count)])
+    others = np.stack(np.meshgrid(np.arange(50.0, 55.0), np.arange(0.5, 40.0, 0.99)), axis=-1).reshape(-1, 2)
+    place = np.vstack([[20.0, 20.0], met, others])
+    n, velocity = len(place), np.zeros((len(place), 2))
+    velocity[0] = 800.0, 0.0
+    state = scene(place, velocity, radius=np.append(2.0, np.full(n - 1, 0.2)), fixed=np.arange(n) == 0)
+    position = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position
+    assert np.all(np.hypot(*(position[1:] - position[0]).T) > 2.1)
+    assert not np.any((position[1:, 0] < 28.0) & (np.abs(position[1:, 1] - 20.0) < 2.1))

@@ -1,0 +1,177 @@
+"""Times at which the path of a circle touches a wall, a segment or another path.
+
+Tests: tests/stepping/test_continuous.py
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from deep_contact.compiled import njit
+from deep_contact.state.arrays import WALL_NORMALS
+from deep_contact.stepping.contacts import wall_gap
+from deep_contact.stepping.paths import FIRM, FREE, place_at
+from deep_contact.stepping.segment_grid import BESIDE, ON, START, cells_of_box, segment_gap
+from deep_contact.stepping.segments import carried, hides, moves, time_to_touch
+
+FAST = 0.5
+"""A circle is fast if it moves farther in a step than this share of its radius, relative to a wall."""
+
+PAIRS = 0.5
+"""A pair of circles touches only where it approaches by more than this share of the smaller radius in a step."""
+
+HELD = 0.01
+"""The share in place of `PAIRS` if one of the two circles is held, and for walls and segments."""
+
+MOST_TOUCHES = 200
+"""Largest number of touches of a circle in a step. Later approaches are left to the contacts of the next step."""
+
+
+@njit(cache=True, error_model="numpy", _nrt=False)
+def touch_walls(i, now, paths, actuation):
+    """(time, partner) of the first touch of circle i with a wall or a segment from time `now` on, or (inf, −1)."""
+    step, segments, n = paths.step, paths.segments, paths.since.shape[0]
+    radius, scales = step.bodies.radius[i], step.scales
+    rate_x, rate_y, (x, y) = paths.rate[i, 0], paths.rate[i, 1], place_at(paths, i, now)
+    first, partner = np.inf, -1
+    if paths.touches[i] > 0 or rate_x * rate_x + rate_y * rate_y > (FAST * radius) ** 2:
+        for wall in range(4):
+            rate = rate_x * WALL_NORMALS[wall, 0] + rate_y * WALL_NORMALS[wall, 1]
+            before = wall_gap(paths.start[i, 0], paths.start[i, 1], paths.step.box, wall)
+            # A circle that began outside of the wall may come in.
+            if rate > HELD * radius and before > 0.0:
+                least = min(before, radius + scales.wall_skin - touching_overlap(radius, scales))
+                time = now + max(0.0, (wall_gap(x, y, paths.step.box, wall) - least) / rate)
+                if time < first:
+                    first, partner = time, n + wall
+        to_x, to_y = place_at(paths, i, 1.0)
+        way = min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y)
+        left, right, bottom, top = cells_of_box(segments.grid, *way)
+        for row in range(bottom, top + 1):
+            begin = row * segments.grid[3]
+            for j in range(segments.start[begin + left], segments.start[begin + right + 1]):
+                s = segments.near[j]
+                if actuation is not None:
+                    if moves(actuation.wall, s):
+                        continue
+                time = touch_segment(i, s, now, paths, None)
+                if time < first:
+                    first, partner = time, n + 4 + s
+    if actuation is not None:
+        if paths.held[i] != FIRM:
+            for s in actuation.moving:
+                time = touch_segment(i, s, now, paths, actuation)
+                if time < first:
+                    first, partner = time, n + 4 + s
+    return first, partner
+
+
+@njit(inline="always")
+def touching_overlap(radius, scales):
+    """Overlap of a touch, m, with which the next step finds a contact."""
+    return min(0.5 * scales.slop, 0.1 * radius)
+
+
+@njit(cache=True, error_model="numpy")
+def piece_beside(i, s, now, paths, actuation):
+    """((x, y), (m_x, m_y)): start and rest of the path of circle i from time `now` on, relative to segment s, m.
+
+    actuation: `Actuation` of the step; None for a segment at rest.
+    """
+    (x, y), (to_x, to_y) = place_at(paths, i, now), place_at(paths, i, 1.0)
+    if actuation is not None:
+        x, y = carried(paths.segments.line, actuation.wall, s, (1.0 - now) * paths.step.dt, x, y)
+    return (x, y), (to_x - x, to_y - y)
+
+
+@njit(cache=True, error_model="numpy")
+def touch_segment(i, s, now, paths, actuation):
+    """Time of the first touch of circle i with segment s from time `now` on, in steps, or infinity.
+
+    actuation: `Actuation` of the step; None for a segment at rest.
+    """
+    line, box, radius, rest = paths.segments.line, paths.step.box, paths.step.bodies.radius[i], 1.0 - now
+    reach, (start_x, start_y) = radius + paths.step.scales.wall_skin, (paths.start[i, 0], paths.start[i, 1])
+    (x, y), (m_x, m_y) = piece_beside(i, s, now, paths, actuation)
+    e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
+    before = e_x * (y - line[s, 1]) - e_y * (x - line[s, 0])
+    after = before + e_x * m_y - e_y * m_x
+    if before * after > 0.0 and min(before * before, after * after) > reach * reach * (e_x * e_x + e_y * e_y):
+        return np.inf  # the whole path is on one side of the line, and beyond reach of it
+    far = paths.touches[i] > 0 or m_x * m_x + m_y * m_y > (FAST * radius * rest) ** 2
+    if not far or rest <= 0.0:
+        return np.inf
+    if actuation is not None:
+        start_x, start_y = carried(line, actuation.wall, s, paths.step.dt, start_x, start_y)
+    touching = reach - touching_overlap(radius, paths.step.scales)
+    least = min(touching, segment_gap(line[s], start_x, start_y)[0], segment_gap(line[s], x, y)[0])
+    share, part = time_to_touch(line[s], x, y, m_x, m_y, least)
+    if part != BESIDE and share <= 1.0:
+        # An end on a surface is no nearer than the surface: a circle that slides along one segment does not touch the
+        # end of the next.
+        end, column = 2 * s + part - START, 2 * (part - START)
+        e_x, e_y, hiding, first = line[s, column], line[s, column + 1], paths.segments.hiding, paths.segments.first
+        for k in hiding[first[end] : first[end + 1]]:
+            if hides(line[k], e_x, e_y, x, y, reach):
+                least = min(least, segment_gap(line[k], start_x, start_y)[0], segment_gap(line[k], x, y)[0])
+        for wall in range(4):
+            if wall_gap(e_x, e_y, box, wall) <= ON * reach:
+                least = min(least, wall_gap(start_x, start_y, box, wall), wall_gap(x, y, box, wall))
+        share, _ = time_to_touch(line[s], x, y, m_x, m_y, least)
+    if share > 1.0:
+        return np.inf
+    _, n_x, n_y = segment_gap(line[s], x + share * m_x, y + share * m_y)
+    return now + share * rest if m_x * n_x + m_y * n_y > HELD * radius * rest else np.inf
+
+
+@njit(inline="always")
+def touch_circle(i, k, now, paths):
+    """Time of the first touch of circles i and k from time `now` on, in steps, or infinity."""
+    start, rate, held, radius = paths.start, paths.rate, paths.held, paths.step.bodies.radius
+    (x_i, y_i), (x_k, y_k) = place_at(paths, i, now), place_at(paths, k, now)
+    p_x, p_y, w_x, w_y = x_k - x_i, y_k - y_i, rate[k, 0] - rate[i, 0], rate[k, 1] - rate[i, 1]
+    along = p_x * w_x + p_y * w_y
+    if not along < 0.0:
+        return np.inf
+    reach, smaller = radius[i] + radius[k], min(radius[i], radius[k])
+    missed, w = p_x * p_x + p_y * p_y - reach * reach, w_x * w_x + w_y * w_y
+    if along * along < w * missed:
+        return np.inf  # the test below, without a root, for the larger distance `reach`
+    is_fixed_i, is_fixed_k = paths.inverse[i] == 0.0, paths.inverse[k] == 0.0
+    if (is_fixed_i and held[k] > held[i]) or (is_fixed_k and held[i] > held[k]) or (is_fixed_i and is_fixed_k):
+        return np.inf  # a fixed circle passes over a firmer circle, and over another fixed one
+    if paths.touches[k] >= MOST_TOUCHES:
+        return np.inf
+    least, slowest = reach - touching_overlap(smaller, paths.step.scales), PAIRS * smaller
+    s_x, s_y = start[k, 0] - start[i, 0], start[k, 1] - start[i, 1]
+    square = min(least * least, s_x * s_x + s_y * s_y)
+    if held[i] != FREE or held[k] != FREE:
+        slowest = HELD * smaller
+    beyond = p_x * p_x + p_y * p_y - square
+    if beyond <= 0.0:
+        return now if along * along > slowest * slowest * (p_x * p_x + p_y * p_y) else np.inf
+    under = along * along - w * beyond
+    return now + beyond / (math.sqrt(under) - along) if under > slowest * slowest * square else np.inf
+
+
+@njit(cache=True, error_model="numpy", _nrt=False)
+def approach_of(i, k, time, paths, actuation):
+    """(n_x, n_y, rate): unit normal from circle i to body k, and the rate at which i approaches k, m a step."""
+    n, rate = paths.since.shape[0], paths.rate
+    if k < n:
+        (x_i, y_i), (x_k, y_k) = place_at(paths, i, time), place_at(paths, k, time)
+        distance = math.hypot(x_k - x_i, y_k - y_i)
+        n_x, n_y = (x_k - x_i) / distance, (y_k - y_i) / distance
+        return n_x, n_y, (rate[i, 0] - rate[k, 0]) * n_x + (rate[i, 1] - rate[k, 1]) * n_y
+    if k < n + 4:
+        n_x, n_y = WALL_NORMALS[k - n, 0], WALL_NORMALS[k - n, 1]
+        return n_x, n_y, rate[i, 0] * n_x + rate[i, 1] * n_y
+    s = k - n - 4
+    (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, None)
+    if actuation is not None:
+        if moves(actuation.wall, s):
+            (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, actuation)
+    _, n_x, n_y = segment_gap(paths.segments.line[s], x, y)
+    return n_x, n_y, (m_x * n_x + m_y * n_y) / (1.0 - time)
