@@ -9,9 +9,10 @@ unit normal from a to b, and a = (u_a − u_b) · n the rate at which a pair com
     u_a ← u_a − s n / m_a,  u_b ← u_b + s n / m_b,  s = a / (1 / m_a + 1 / m_b):
 
 both circles go on with their common rate along n, and each keeps its own rate along the tangent, as in a plastic
-impact. Velocities stay as they were solved: the next step finds the contact, and solves it. The centre of mass moves as
-it would have without the touch, and only relative motions count, so that the result is the same in every inertial
-frame.
+impact. If the tangents would take them apart before the end of the step, around each other or around the end of a
+segment, both go on with their common rate in all directions (`slip_apart`). Velocities stay as they were solved: the
+next step finds the contact, and solves it. The centre of mass moves as it would have without the touch, and only
+relative motions count, so that the result is the same in every inertial frame.
 
 A wall, a segment and a fixed circle have an infinite mass. A circle that has met one of them is *held* by it: a push
 towards that body only lets the circle slide along it. If no direction is left in which to slide, the circle has an
@@ -37,7 +38,7 @@ from deep_contact.state.arrays import WALL_NORMALS
 from deep_contact.stepping.broad_phase import make_cells, smallest_of, sort_level, sum_of
 from deep_contact.stepping.contacts import wall_gap
 from deep_contact.stepping.segment_grid import BESIDE, ON, START, is_free, near_box, segment_gap
-from deep_contact.stepping.segments import carried, hides, moves, time_to_touch
+from deep_contact.stepping.segments import carried, crossing, hides, moves, time_to_touch
 
 FAST = 0.5
 """A circle is fast if it moves farther in a step than this share of its radius, relative to a wall."""
@@ -456,10 +457,11 @@ def share_momentum(first, second, time, step, paths, changed, actuation, shifts)
     """
     touches, count, n = first.shape[0], 0, paths.radius.shape[0]
     normal, approach, yielding = np.empty((touches, 2)), np.empty(touches), np.empty((touches, 2, 3))
-    shares = np.zeros(n)
+    shares, slip, given = np.zeros(n), np.empty((touches, 2)), np.empty((2, 2))
     for j in range(touches):
         i, k = first[j], second[j]
         normal[j, 0], normal[j, 1], approach[j] = approach_of(i, k, time, paths, actuation, step.dt)
+        slip[j, 0], slip[j, 1] = slip_apart(i, k, normal[j], time, paths, actuation, step.dt)
         yield_along(i, k, normal[j], paths, yielding[j])
         for side, c in ((0, i), (1, k)):
             if yielding[j, side, 0] > 0.0:
@@ -474,17 +476,80 @@ def share_momentum(first, second, time, step, paths, changed, actuation, shifts)
     for j in range(touches):
         i, k, (w_i, w_k) = first[j], second[j], (yielding[j, 0, 0], yielding[j, 1, 0])
         s = approach[j] / ((shares[i] * w_i if w_i > 0.0 else 0.0) + (shares[k] * w_k if w_k > 0.0 else 0.0))
+        for side in range(2):
+            for axis in range(2):
+                given[side, axis] = s * yielding[j, side, 1 + axis] if yielding[j, side, 0] > 0.0 else 0.0
+        give_slip(i, k, slip[j], yielding[j], shares, paths, given)
         for side, c in ((0, i), (1, k)):
             if yielding[j, side, 0] > 0.0:
                 for axis in range(2):
-                    paths.rate[c, axis] += s * paths.inverse[c] * yielding[j, side, 1 + axis]
+                    paths.rate[c, axis] += paths.inverse[c] * given[side, axis]
         if w_k == 0.0:
             hold(i, normal[j], 1.0, hold_of(k, paths, actuation), paths)
         elif w_i == 0.0:
             hold(k, normal[j], -1.0, paths.held[i], paths)
         if step.restitution > 0.0:
-            keep_energy(i, k, (1.0 - time) * s, normal[j], approach[j], yielding[j], step, paths, actuation, shifts)
+            keep_energy(i, k, 1.0 - time, given, normal[j], approach[j], yielding[j], step, paths, actuation, shifts)
     return count
+
+
+@njit(cache=True, error_model="numpy")
+def slip_apart(i, k, normal, time, paths, actuation, dt):
+    """Rate of circle i along the tangent of its touch with body k, relative to that body, (x, y), m a step.
+
+    It is 0 if this motion would leave the two within reach of a contact until the end of the step.
+    """
+    n, rest, line = paths.radius.shape[0], 1.0 - time, paths.segments.line
+    if n <= k < n + 4 or rest <= 0.0:
+        return 0.0, 0.0
+    (x, y), radius, smaller = place_at(paths, i, time), paths.radius[i], paths.radius[i]
+    if k < n:
+        x_k, y_k = place_at(paths, k, time)
+        x, y, smaller = x - x_k, y - y_k, min(radius, paths.radius[k])
+        reach, m_x, m_y = radius + paths.radius[k], rest * paths.rate[i, 0], rest * paths.rate[i, 1]
+        m_x, m_y = m_x - rest * paths.rate[k, 0], m_y - rest * paths.rate[k, 1]
+    else:
+        s, reach = k - n - 4, radius + paths.scales.wall_skin
+        (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, None, dt)
+        if actuation is not None:
+            if moves(actuation.wall, s):
+                (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, actuation, dt)
+    across = m_x * normal[0] + m_y * normal[1]
+    m_x, m_y = m_x - across * normal[0], m_y - across * normal[1]
+    least = reach - 0.5 * touching_overlap(smaller, paths.scales)
+    if k < n:
+        parts = math.hypot(x + m_x, y + m_y) > least
+    else:
+        parts = segment_gap(line[s], x + m_x, y + m_y)[0] > least
+        if parts:  # unless a segment or a wall on which it ends has the contact, or stops the circle
+            hiding, first = paths.segments.hiding, paths.segments.first
+            for other in hiding[first[2 * s] : first[2 * s + 2]]:
+                parts &= segment_gap(line[other], x + m_x, y + m_y)[0] > least
+                parts &= crossing(line[other], x, y, x + m_x, y + m_y) == np.inf
+            for wall in range(4):
+                parts &= wall_gap(x + m_x, y + m_y, paths.box, wall) > least
+    return (m_x / rest, m_y / rest) if parts else (0.0, 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def give_slip(i, k, slip, yielding, shares, paths, given):
+    """Add to `given`, (2, 2), in place, what ends the slip of circle i along body k: kg m a step for each of the two.
+
+    slip: of `slip_apart`. yielding, shares: of `share_momentum`. Circles that do not yield are left as they are.
+    """
+    rate = math.hypot(slip[0], slip[1])
+    if rate == 0.0:
+        return
+    along, w = np.zeros((2, 3)), 0.0
+    for side, c, sign in ((0, i, -1.0), (1, k, 1.0)):
+        if yielding[side, 0] > 0.0:
+            mobility(c, sign * slip[0] / rate, sign * slip[1] / rate, paths, along[side])
+            if along[side, 0] > 0.0:
+                w += shares[c] * along[side, 0]
+    for side in range(2):
+        if along[side, 0] > 0.0:
+            for axis in range(2):
+                given[side, axis] += rate / w * along[side, 1 + axis]
 
 
 @njit(inline="always")
@@ -561,14 +626,14 @@ def approach_of(i, k, time, paths, actuation, dt):
 
 
 @njit(cache=True, error_model="numpy")
-def keep_energy(i, k, impulse, normal, approach, yielding, step, paths, actuation, shifts):
+def keep_energy(i, k, rest, given, normal, approach, yielding, step, paths, actuation, shifts):
     """Correct the velocity of circle i, or of circle k if that is heavier, in place: a touch has to keep their energy.
 
     The circles have the velocities that gravity and pushes give in a whole step. A touch changes how far they move
     along gravity and pushes in it, and so their potential energy: without the correction, the total would change.
-    Velocities are half a step behind positions. impulse: impulse of the touch on the rates, times the rest of the step,
-    kg m. approach: rate of approach before the touch, m a step. The change of momentum is added to shifts, (n, 2), N·s,
-    if these are logged.
+    Velocities are half a step behind positions. rest: of the step. given: impulses of the touch on the rates of the
+    two, (2, 2), kg m a step. approach: rate of approach before the touch, m a step. The change of momentum is added to
+    shifts, (n, 2), N·s, if these are logged.
     """
     bodies, dt, n, gained, g = step.bodies, step.dt, paths.radius.shape[0], 0.0, 0.0
     is_second = yielding[1, 0] > 0.0 and (yielding[0, 0] == 0.0 or bodies.mass[min(k, n - 1)] > bodies.mass[i])
@@ -579,7 +644,7 @@ def keep_energy(i, k, impulse, normal, approach, yielding, step, paths, actuatio
                 force = bodies.mass[c] * step.gravity[axis]
                 if actuation is not None:
                     force += actuation.force[c, axis]
-                gained += force / bodies.mass[c] * impulse * yielding[side, 1 + axis]
+                gained += force / bodies.mass[c] * rest * given[side, axis]
                 if c == heavier:
                     g += force / bodies.mass[c] * normal[axis] * (1.0 - 2.0 * side)
     sign = -1.0 if is_second else 1.0
