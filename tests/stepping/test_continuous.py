@@ -8,6 +8,7 @@ from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.solvers import METHODS
+from deep_contact.stepping.continuous import middle_of
 from deep_contact.studies.hard_scenes import loaded_silo
 
 NO_GRAVITY = dc.World(box=(0, 0, 60, 40), gravity=(0, 0))
@@ -401,3 +402,65 @@ def test_a_fast_circle_that_flies_into_a_corner_meets_the_nearer_wall_first(sign
     sunk = 1.0 - np.abs(corner - run.positions[:, 0])
     assert sunk.max() < 0.02
     assert run.positions[1, 0, first] == pytest.approx(corner[first] - signs[first], abs=0.02)
+
+
+@pytest.mark.parametrize("rate", [0.6, 0.9, 1.4])
+@pytest.mark.parametrize("what", ["wall", "segment"])
+def test_a_circle_that_moves_by_little_more_than_half_its_radius_is_held_at_what_it_meets(what, rate):
+    """A circle of 1 m, with `rate` metres a step, a fifth of a step before it touches."""
+    line = [((55.0, 10.0), (55.0, 30.0))] if what == "segment" else ()
+    end = (55.0 if line else 60.0) - 1.01 + 0.0025
+    state = scene([[end - 0.2 * rate, 20.0]], [[100.0 * rate, 0.0]], world=replace(NO_GRAVITY, segments=line))
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state
+    assert after.bodies.position[0, 0] == pytest.approx(end, rel=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5 * np.pi, 2.1, -0.7])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("share", [0.03, 0.5, 0.97])
+def test_a_fast_circle_touches_a_segment_anywhere_along_it(share, side, angle):
+    """Also close to its ends. It keeps its way along the segment."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+    out, middle = side * np.array([-along[1], along[0]]), np.array([30.0, 20.0])
+    line = [(tuple(middle - 5.0 * along), tuple(middle + 5.0 * along))]
+    inwards = np.sign(0.5 - share) or 1.0
+    start = middle + (10.0 * share - 5.0) * along + 2.3 * out
+    velocity = 30.0 * inwards * along - 190.0 * out
+    state = scene([start], [velocity], world=replace(NO_GRAVITY, segments=line))
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position[0] - start
+    np.testing.assert_allclose([after @ along, after @ out], [0.3 * inwards, 1.01 - 0.0025 - 2.3], atol=1e-12)
+
+
+FAR = np.column_stack([np.linspace(-900.0, 900.0, 60), np.full(60, -900.0)])
+"""Circles at rest. With them the mean motion is so small that what rests does not search: only what moves does."""
+
+
+def test_what_a_fast_paddle_has_met_pushes_on_with_its_speed():
+    """5 m a step: the paddle holds a disc after 1.0025 m, and this disc, which counts as infinite, holds the next."""
+    place = np.concatenate([[[0.0, 0.0], [3.0, 0.0], [6.0, 0.0]], FAR])
+    velocity = np.zeros_like(place)
+    velocity[0, 0] = 500.0
+    state = scene(place, velocity, world=EMPTY, fixed=np.arange(len(place)) == 0)
+    x = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position[:3, 0]
+    np.testing.assert_allclose(x, 5.0 + 1.9975 * np.arange(3), atol=1e-9)
+
+
+def test_a_ball_that_a_fast_paddle_meets_keeps_its_energy_in_the_frame_of_the_paddle():
+    """e = 1. Under gravity, ½ (v + g Δt / 2)² − g · x is kept, relative to a paddle of constant velocity."""
+    gravity, paddle = np.array([3.0, -9.81]), np.array([0.0, 300.0])
+    place, velocity = np.concatenate([[[0.0, 0.0], [0.0, 4.6]], FAR]), np.zeros((62, 2))
+    velocity[0] = paddle
+    world = replace(EMPTY, gravity=tuple(gravity), restitution=1.0)
+    state = scene(place, velocity, world=world, fixed=np.arange(62) == 0)
+    run = dc.simulate(state, steps=4, record=1, solver=dc.PGS())
+    late = run.trajectory.velocities[:, 1] + 0.005 * gravity - paddle
+    way = run.trajectory.positions[:, 1] - run.trajectory.times[:, None] * paddle
+    energy = 0.5 * (late**2).sum(axis=1) - way @ gravity
+    assert late[-1, 1] > 0.0 > late[0, 1]
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-9)
+
+
+def test_the_middle_of_points_is_that_of_their_bounding_box():
+    points = np.array([[0.0, 7.0], [2.0, -1.0], [1.0, 0.0], [9.0, 9.0]])
+    assert middle_of(points, 3) == (1.0, 3.0)
+    assert middle_of(points[::-1].copy(), 4) == (4.5, 4.0)
