@@ -218,6 +218,27 @@ def test_a_moving_segment_passes_over_what_is_held_in_its_way(rest):
     assert run.state.world.segments[0][0] > 6.0
 
 
+@pytest.mark.parametrize("angle", [0.5 * np.pi, np.pi, -0.5 * np.pi, 0.8])
+def test_a_moving_segment_passes_over_what_is_held_whichever_way_it_goes(angle):
+    """At 5 m/s. A second circle, which nothing holds, goes on in front of it."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+    left = np.array([-along[1], along[0]])
+    ends = [(at * along - 5.0 * left, at * along + reach * left) for at, reach in ((0.0, 5.0), (3.0, 1.0))]
+    lines = [tuple(map(tuple, line)) for line in ends]
+    world = dc.World(
+        box=(-50, -50, 50, 50), gravity=(0, 0), friction=0.0, segments=lines,
+        segment_velocities=[(tuple(5.0 * along), tuple(5.0 * along)), ((0, 0), (0, 0))],
+    )  # fmt: skip
+    place = [1.5 * along - 2.0 * left, 1.5 * along + 3.0 * left]
+    state = dc.State(name="press", world=world, bodies=dc.make_bodies(place, radius=0.5))
+    with pytest.warns(UserWarning, match="passes over circle 0"):
+        run = dc.simulate(state, steps=120, record=1, solver=dc.PGS())
+    way = run.trajectory.positions @ along
+    assert way[:, 0].max() <= 2.51
+    assert way[-1, 1] > 6.0
+    assert np.abs(run.trajectory.velocities).max() <= 5.1
+
+
 def test_circles_that_fly_together_are_not_held():
     state = scene([[10.0, 20.0], [12.1, 20.0], [14.2, 20.0]], [[190.0, 0.0]] * 3)
     after = dc.simulate(state, steps=10, solver=dc.PGS()).state
