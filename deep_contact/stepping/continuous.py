@@ -9,9 +9,10 @@ unit normal from a to b, and a = (u_a − u_b) · n the rate at which a pair com
     u_a ← u_a − s n / m_a,  u_b ← u_b + s n / m_b,  s = a / (1 / m_a + 1 / m_b):
 
 both circles go on with their common rate along n, and each keeps its own rate along the tangent, as in a plastic
-impact. Velocities stay as they were solved: the next step finds the contact, and solves it. The centre of mass moves as
-it would have without the touch, and only relative motions count, so that the result is the same in every inertial
-frame.
+impact. If the tangents would take them apart before the end of the step, around each other or around the end of a
+segment, both go on with their common rate in all directions (`slip_apart`). Velocities stay as they were solved: the
+next step finds the contact, and solves it. The centre of mass moves as it would have without the touch, and only
+relative motions count, so that the result is the same in every inertial frame.
 
 A wall, a segment and a fixed circle have an infinite mass. A circle that has met one of them is *held* by it: a push
 towards that body only lets the circle slide along it. If no direction is left in which to slide, the circle has an
@@ -44,7 +45,7 @@ from deep_contact.stepping.touch_queue import (
     pop_touch,
     queue_circle,
 )
-from deep_contact.stepping.touches import FAST, MOST_TOUCHES, PAIRS, approach_of, touch_circle, touch_walls
+from deep_contact.stepping.touches import FAST, MOST_TOUCHES, PAIRS, approach_of, slip_apart, touch_circle, touch_walls
 
 BLOCKED = 0.999
 """Cosine of the angle between a push and the direction to the holding body, from which on the circle does not yield."""
@@ -53,14 +54,18 @@ TOGETHER = 1e-9
 """Largest difference of the times of simultaneous touches, in steps."""
 
 
-class Touches(NamedTuple):
-    """Simultaneous touches, at most 8 n for n circles, and the circles whose paths they change."""
+NORMAL, SLIP = range(2)
+"""Directions of a touch: the normal, and that of the slip (`slip_apart`)."""
 
-    first: np.ndarray  # (8 n,): circle i of each touch
-    second: np.ndarray  # (8 n,): its partner k, in the numbering of `Contacts.body_b`
-    normal: np.ndarray  # (8 n, 2): unit normal from i to k
-    approach: np.ndarray  # (8 n,): rate at which i approaches k, m a step
-    yielding: np.ndarray  # (8 n, 2, 3): see `yield_along`
+
+class Touches(NamedTuple):
+    """Simultaneous touches of a circle i with a body k, at most 8 n for n circles."""
+
+    first: np.ndarray  # (8 n,): circle i
+    second: np.ndarray  # (8 n,): body k, in the numbering of `Contacts.body_b`
+    direction: np.ndarray  # (2, 8 n, 2): unit vectors, `NORMAL` from i to k, and `SLIP` of i along k
+    rate: np.ndarray  # (2, 8 n): rates of i relative to k in these directions, m a step
+    yielding: np.ndarray  # (2, 8 n, 2, 3): `mobility` of i against each direction, and of k along it
     shares: np.ndarray  # (n,): number of touches among which a circle shares its mass
     popped: np.ndarray  # (8 n,): circles whose touches are out of the queue
     changed: np.ndarray  # (9 n,): circles whose paths change, then circles that have to be searched nevertheless
@@ -70,8 +75,8 @@ class Touches(NamedTuple):
 def make_touches(n):
     """`Touches` of n circles, not filled."""
     body, changed, shares = np.empty((3, 8 * n), np.int64), np.empty(9 * n, np.int64), np.empty(n)
-    normal, approach, yielding = np.empty((8 * n, 2)), np.empty(8 * n), np.empty((8 * n, 2, 3))
-    return Touches(body[0], body[1], normal, approach, yielding, shares, body[2], changed)
+    direction, rate, yielding = np.empty((2, 8 * n, 2)), np.empty((2, 8 * n)), np.empty((2, 8 * n, 2, 3))
+    return Touches(body[0], body[1], direction, rate, yielding, shares, body[2], changed)
 
 
 @njit(cache=True, error_model="numpy")
@@ -253,15 +258,16 @@ def share_momentum(touches, time, together, paths, actuation, shifts):
     touches: their number in `Touches`. A circle shares its mass among its touches.
     """
     first, second, shares, changed = together.first, together.second, together.shares, together.changed
-    approach, normal, yielding = together.approach, together.normal, together.yielding
-    count = 0
+    direction, rate, yielding, count = together.direction, together.rate, together.yielding, 0
     for j in range(touches):
-        i, k = first[j], second[j]
-        normal[j, 0], normal[j, 1], approach[j] = approach_of(i, k, time, paths, actuation)
-        yield_along(i, k, normal[j], paths, yielding[j])
+        i, k, normal, slip = first[j], second[j], direction[NORMAL, j], direction[SLIP, j]
+        normal[0], normal[1], rate[NORMAL, j] = approach_of(i, k, time, paths, actuation)
+        slip[0], slip[1], rate[SLIP, j] = slip_apart(i, k, normal, time, paths, actuation)
+        yield_along(i, k, normal, paths, yielding[NORMAL, j])
+        yield_along(i, k, slip, paths, yielding[SLIP, j])
         for side in range(2):
             c = k if side == 1 else i
-            if yielding[j, side, 0] > 0.0:
+            if yielding[NORMAL, j, side, 0] > 0.0:
                 if shares[c] == 0.0:
                     changed[count] = c
                     count += 1
@@ -271,20 +277,33 @@ def share_momentum(touches, time, together, paths, actuation, shifts):
         paths.since[c] = time
         paths.touches[c] += 1
     for j in range(touches):
-        i, k, w_i, w_k = first[j], second[j], yielding[j, 0, 0], yielding[j, 1, 0]
-        s = approach[j] / ((shares[i] * w_i if w_i > 0.0 else 0.0) + (shares[k] * w_k if w_k > 0.0 else 0.0))
-        for side in range(2):
-            c = k if side == 1 else i
-            if yielding[j, side, 0] > 0.0:
-                for axis in range(2):
-                    paths.rate[c, axis] += s * paths.inverse[c] * yielding[j, side, 1 + axis]
-        if w_k == 0.0:
-            hold(i, normal[j], 1.0, hold_of(k, paths, actuation), paths)
-        elif w_i == 0.0:
-            hold(k, normal[j], -1.0, paths.held[i], paths)
-        if paths.step.restitution > 0.0:
-            keep_energy(j, (1.0 - time) * s, together, paths, actuation, shifts)
+        i, k, normal = first[j], second[j], direction[NORMAL, j]
+        for way in range(2):
+            if rate[way, j] > 0.0:
+                end_rate(way, j, time, together, paths, actuation, shifts)
+        if yielding[NORMAL, j, 1, 0] == 0.0:
+            hold(i, normal, 1.0, hold_of(k, paths, actuation), paths)
+        elif yielding[NORMAL, j, 0, 0] == 0.0:
+            hold(k, normal, -1.0, paths.held[i], paths)
     return count
+
+
+@njit(cache=True, error_model="numpy", _nrt=False)
+def end_rate(way, j, time, together, paths, actuation, shifts):
+    """Give the bodies of the j-th touch a common rate along its direction `way`, in place on their paths."""
+    i, k, yielding, shares = together.first[j], together.second[j], together.yielding[way, j], together.shares
+    w = 0.0
+    for side in range(2):
+        if yielding[side, 0] > 0.0:
+            w += shares[k if side == 1 else i] * yielding[side, 0]
+    s = together.rate[way, j] / w
+    for side in range(2):
+        c = k if side == 1 else i
+        if yielding[side, 0] > 0.0:
+            for axis in range(2):
+                paths.rate[c, axis] += s * paths.inverse[c] * yielding[side, 1 + axis]
+    if paths.step.restitution > 0.0:
+        keep_energy(way, j, (1.0 - time) * s, together, paths, actuation, shifts)
 
 
 @njit(inline="always")
@@ -340,20 +359,23 @@ def hold_of(k, paths, actuation):
 
 
 @njit(cache=True, error_model="numpy", _nrt=False)
-def keep_energy(j, impulse, together, paths, actuation, shifts):
-    """Correct the velocity of the heavier circle of the j-th touch, in place: the touch has to keep the energy.
+def keep_energy(way, j, impulse, together, paths, actuation, shifts):
+    """Correct the velocity of the heavier circle of the j-th touch along a direction, in place, to keep the energy.
 
     The circles have the velocities that gravity and pushes give in a whole step. A touch changes how far they move
-    along gravity and pushes in it, and so their potential energy: without the correction, the total would change.
-    Velocities are half a step behind positions. impulse: impulse of the touch on the rates, times the rest of the step,
-    kg m. The change of momentum is added to shifts, (n, 2), N·s, if these are logged.
+    along gravity and pushes in it, and so their potential energy. Without the correction, the total would change.
+    Velocities are half a step behind positions. way: `NORMAL` or `SLIP`. impulse: impulse on the rates in this
+    direction, times the rest of the step, kg m. The change of momentum is added to shifts, (n, 2), N·s, if these are
+    logged.
     """
-    i, k, normal, yielding = together.first[j], together.second[j], together.normal[j], together.yielding[j]
+    i, k = together.first[j], together.second[j]
+    direction, yielding = together.direction[way, j], together.yielding[way, j]
     step, bodies, dt = paths.step, paths.step.bodies, paths.step.dt
     n, gained, g = bodies.mass.shape[0], 0.0, 0.0
     is_second = yielding[1, 0] > 0.0 and (yielding[0, 0] == 0.0 or bodies.mass[min(k, n - 1)] > bodies.mass[i])
     heavier = k if is_second else i
-    for side, c in ((0, i), (1, k)):
+    for side in range(2):
+        c = k if side == 1 else i
         if yielding[side, 0] > 0.0:
             for axis in range(2):
                 force = bodies.mass[c] * step.gravity[axis]
@@ -361,11 +383,11 @@ def keep_energy(j, impulse, together, paths, actuation, shifts):
                     force += actuation.force[c, axis]
                 gained += force / bodies.mass[c] * impulse * yielding[side, 1 + axis]
                 if c == heavier:
-                    g += force / bodies.mass[c] * normal[axis] * (1.0 - 2.0 * side)
+                    g += force / bodies.mass[c] * direction[axis] * (1.0 - 2.0 * side)
     sign = -1.0 if is_second else 1.0
-    v = together.approach[j] / dt + 0.5 * dt * g
+    v = together.rate[way, j] / dt + 0.5 * dt * g
     change = math.copysign(math.sqrt(max(0.0, v * v + 2.0 * gained / bodies.mass[heavier])), v) - v
     for axis in range(2):
-        bodies.velocity[heavier, axis] += sign * change * normal[axis]
+        bodies.velocity[heavier, axis] += sign * change * direction[axis]
         if shifts.shape[0] > 0:
-            shifts[heavier, axis] += bodies.mass[heavier] * sign * change * normal[axis]
+            shifts[heavier, axis] += bodies.mass[heavier] * sign * change * direction[axis]

@@ -210,11 +210,18 @@ def pair_of(contacts, i):
 def of_whole_step(contacts: Contacts, pair_impulses: np.ndarray) -> Contacts:
     """The contacts of a step, also those that came during it, with their impulses summed over the step.
 
+    While a pair turns in a divided step, its sum may come to pull along the normal with which it came. A normal across
+    the sum replaces that normal, so that λ_n is 0, and the impulse on the bodies is that of the step.
+
     contacts: at the start of the step. pair_impulses: of `StepLog`.
     """
     pair, x, y, n_x, n_y, separation, p_x, p_y = pair_impulses.T
     starts = np.zeros((2, len(pair)))
     starts[:, np.searchsorted(pair, contacts.body_a * MOST_BODIES + contacts.body_b)] = contacts[7:]
+    normal, pulls = np.column_stack([n_x, n_y]), p_x * n_x + p_y * n_y < 0.0
+    across = np.column_stack([p_y, -p_x])[pulls] / np.hypot(p_x, p_y)[pulls, None]
+    normal[pulls] = np.where((across * normal[pulls]).sum(axis=1, keepdims=True) < 0.0, -across, across)
+    n_x, n_y = normal.T
     impulses = np.maximum(p_x * n_x + p_y * n_y, 0.0), p_x * n_y - p_y * n_x
-    places = np.column_stack([x, y]), np.column_stack([n_x, n_y]), separation.copy()
+    places = np.column_stack([x, y]), normal, separation.copy()
     return Contacts(*np.divmod(pair.astype(np.int64), MOST_BODIES), *places, *impulses, *starts)

@@ -14,7 +14,7 @@ from deep_contact.state.arrays import WALL_NORMALS
 from deep_contact.stepping.contacts import wall_gap
 from deep_contact.stepping.paths import FIRM, FREE, place_at
 from deep_contact.stepping.segment_grid import BESIDE, ON, START, cells_of_box, segment_gap
-from deep_contact.stepping.segments import carried, hides, moves, time_to_touch
+from deep_contact.stepping.segments import carried, crossing, hides, moves, time_to_touch
 
 FAST = 0.5
 """A circle is fast if it moves farther in a step than this share of its radius, relative to a wall."""
@@ -175,3 +175,45 @@ def approach_of(i, k, time, paths, actuation):
             (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, actuation)
     _, n_x, n_y = segment_gap(paths.segments.line[s], x, y)
     return n_x, n_y, (m_x * n_x + m_y * n_y) / (1.0 - time)
+
+
+@njit(cache=True, error_model="numpy", _nrt=False)
+def slip_apart(i, k, normal, time, paths, actuation):
+    """(t_x, t_y, rate): unit tangent along which circle i slips on body k, and the rate of the slip, m a step.
+
+    The rate is 0 if the slip leaves the two within reach of a contact at the end of the step, or if something holds
+    one of them.
+    """
+    n, rest, line, scales = paths.since.shape[0], 1.0 - time, paths.segments.line, paths.step.scales
+    is_held = paths.inverse[i] > 0.0 and paths.held[i] != FREE
+    if k < n:
+        is_held |= paths.inverse[k] > 0.0 and paths.held[k] != FREE
+    if n <= k < n + 4 or rest <= 0.0 or is_held:
+        return 0.0, 0.0, 0.0
+    (x, y), radius = place_at(paths, i, time), paths.step.bodies.radius
+    s, reach, smaller = k - n - 4, radius[i] + scales.wall_skin, radius[i]
+    if k < n:
+        x_k, y_k = place_at(paths, k, time)
+        x, y, reach, smaller = x - x_k, y - y_k, radius[i] + radius[k], min(radius[i], radius[k])
+        m_x, m_y = rest * (paths.rate[i, 0] - paths.rate[k, 0]), rest * (paths.rate[i, 1] - paths.rate[k, 1])
+    else:
+        (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, None)
+        if actuation is not None:
+            if moves(actuation.wall, s):
+                (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, actuation)
+    across = m_x * normal[0] + m_y * normal[1]
+    m_x, m_y = m_x - across * normal[0], m_y - across * normal[1]
+    to_x, to_y, least = x + m_x, y + m_y, reach - 0.5 * touching_overlap(smaller, scales)
+    if k < n:
+        parts = math.hypot(to_x, to_y) > least
+    else:
+        parts = segment_gap(line[s], to_x, to_y)[0] > least
+        if parts:  # unless a segment or a wall on which it ends has the contact, or stops the circle
+            hiding, first = paths.segments.hiding, paths.segments.first
+            for other in hiding[first[2 * s] : first[2 * s + 2]]:
+                parts &= segment_gap(line[other], to_x, to_y)[0] > least
+                parts &= crossing(line[other], x, y, to_x, to_y) == np.inf
+            for wall in range(4):
+                parts &= wall_gap(to_x, to_y, paths.step.box, wall) > least
+    slip = math.hypot(m_x, m_y)
+    return (m_x / slip, m_y / slip, slip / rest) if parts and slip > 0.0 else (0.0, 0.0, 0.0)

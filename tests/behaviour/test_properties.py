@@ -12,9 +12,9 @@ from deep_contact.solvers import METHODS
 from deep_contact.state.arrays import LIMITS, Bodies
 from deep_contact.state.checks import check_state
 from deep_contact.stepping import metrics
-from deep_contact.stepping.touches import FAST
 from deep_contact.stepping.interface import entry_of
 from deep_contact.stepping.prepare import ready
+from deep_contact.stepping.touches import FAST
 from deep_contact.studies.hard_scenes import mechanical_energy
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*(nearly coincide|outside of the box)")

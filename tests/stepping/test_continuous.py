@@ -8,6 +8,7 @@ from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.solvers import METHODS
+from deep_contact.stepping.continuous import middle_of
 from deep_contact.studies.hard_scenes import loaded_silo
 
 NO_GRAVITY = dc.World(box=(0, 0, 60, 40), gravity=(0, 0))
@@ -84,6 +85,52 @@ def test_a_clump_that_is_thrown_stays_together_in_every_frame(name, seed):
     np.testing.assert_allclose(found[1], found[0], rtol=0, atol=1e-9 * 0.5 * speed)
 
 
+@pytest.mark.parametrize("solver", [dc.PGS(), dc.BatchedPGS()], ids=["PGS", "BatchedPGS"])
+@pytest.mark.parametrize("e", [0.0, 0.5])
+@pytest.mark.parametrize("speed", [100.0, 300.0, 1000.0])
+@pytest.mark.parametrize("fixed", [False, True])
+def test_no_oblique_hit_of_fast_circles_is_lost(fixed, speed, e, solver):
+    """Forty pairs, at every impact parameter and time within the step: v_n⁺ = −e v_n and v_t⁺ = v_t, to the slop.
+
+    If they slid along their tangents for the rest of the step, they would be apart at its end, without an impulse.
+    """
+    rng, dt = np.random.default_rng(5), 0.01
+    b, phase, angle = rng.uniform(-0.8, 0.8, 40), rng.uniform(0.0, 3.0, 40), rng.uniform(0.0, 2.0 * np.pi, 40)
+    along = np.column_stack([np.cos(angle), np.sin(angle)])
+    left = np.column_stack([-along[:, 1], along[:, 0]])
+    deep, b = np.sqrt(1.0 - b**2)[:, None], b[:, None]
+    middle = 4000.0 * np.column_stack([np.arange(40) // 8, np.arange(40) % 8])
+    comes = middle - (2.0 * deep + (phase * speed * dt)[:, None]) * along + 2.0 * b * left
+    state = circles_at(
+        np.concatenate([comes, middle]), velocity=np.concatenate([speed * along, np.zeros((40, 2))]), radius=1.0,
+        fixed=np.arange(80) >= 40 if fixed else False, gravity=(0.0, 0.0), friction=0.0, restitution=e,
+        box=(-1e5, -1e5, 1e5, 1e5), dt=dt,
+    )  # fmt: skip
+    after = dc.simulate(state, steps=8, solver=solver).state.bodies.velocity
+    normal, tangent = deep * along - b * left, b * along + deep * left
+    rebound = -e if fixed else 0.5 * (1.0 - e)
+    np.testing.assert_allclose(after[:40], speed * (rebound * deep * normal + b * tangent), atol=0.1 * speed)
+
+
+@pytest.mark.parametrize("e", [0.0, 0.5])
+@pytest.mark.parametrize("place", ["end", "edge"])
+@pytest.mark.parametrize("carried", [(0.0, 0.0), (300.0, -200.0)])
+def test_no_oblique_hit_at_the_end_of_a_segment_is_lost(carried, place, e):
+    """A circle that slides past the end has left the segment at the end of the step. Also a segment that moves."""
+    carried = np.array(carried)
+    # At the end the normal is that of the point. At the edge the circle hits 0.3 m before the end, and slides past it.
+    normal = np.array([0.6, 0.8]) if place == "end" else np.array([0.0, 1.0])
+    touch = 1.01 * normal if place == "end" else np.array([-0.3, 1.01])
+    velocity = np.array([700.0, -700.0]) if place == "edge" else np.array([200.0, -900.0])
+    moving = {"segments": [((-20.0, 0.0), (0.0, 0.0))], "segment_velocities": [(tuple(carried), tuple(carried))]}
+    world = replace(EMPTY, restitution=e, **moving)
+    for phase in (0.3, 1.6):
+        state = scene([touch - phase * 0.01 * velocity], [velocity + carried], world=world)
+        after = dc.simulate(state, steps=5, solver=dc.PGS()).state.bodies.velocity[0] - carried
+        right = velocity - (1.0 + e) * (velocity @ normal) * normal
+        np.testing.assert_allclose(after, right, atol=20.0)
+
+
 def test_a_fast_circle_that_meets_a_wall_keeps_its_velocity_and_its_way_along_the_wall():
     # 1 m of 1.9 m to the skin of the wall. At e = 0 nothing changes the momentum but impulses and gravity.
     world = replace(NO_GRAVITY, gravity=(0.0, -10.0))
@@ -131,7 +178,7 @@ def test_touches_of_one_time_have_no_order():
         x = dc.simulate(scene(position, velocity), steps=1, solver=dc.PGS()).state.bodies.position
         left, right, top = x[[order.index(k) for k in range(3)]]
         np.testing.assert_allclose([left[0] + right[0], left[1] - right[1], top[0]], [60.0, 0.0, 30.0], atol=1e-12)
-        assert left[0] < 29.0
+        assert left[1] < 20.0
         assert top[1] > left[1]
 
 
@@ -169,6 +216,27 @@ def test_a_moving_segment_passes_over_what_is_held_in_its_way(rest):
     assert x.max() <= (2.9 if rest == "wedge" else 2.5)
     assert speed <= 0.6
     assert run.state.world.segments[0][0] > 6.0
+
+
+@pytest.mark.parametrize("angle", [0.5 * np.pi, np.pi, -0.5 * np.pi, 0.8])
+def test_a_moving_segment_passes_over_what_is_held_whichever_way_it_goes(angle):
+    """At 5 m/s. A second circle, which nothing holds, goes on in front of it."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+    left = np.array([-along[1], along[0]])
+    ends = [(at * along - 5.0 * left, at * along + reach * left) for at, reach in ((0.0, 5.0), (3.0, 1.0))]
+    lines = [tuple(map(tuple, line)) for line in ends]
+    world = dc.World(
+        box=(-50, -50, 50, 50), gravity=(0, 0), friction=0.0, segments=lines,
+        segment_velocities=[(tuple(5.0 * along), tuple(5.0 * along)), ((0, 0), (0, 0))],
+    )  # fmt: skip
+    place = [1.5 * along - 2.0 * left, 1.5 * along + 3.0 * left]
+    state = dc.State(name="press", world=world, bodies=dc.make_bodies(place, radius=0.5))
+    with pytest.warns(UserWarning, match="passes over circle 0"):
+        run = dc.simulate(state, steps=120, record=1, solver=dc.PGS())
+    way = run.trajectory.positions @ along
+    assert way[:, 0].max() <= 2.51
+    assert way[-1, 1] > 6.0
+    assert np.abs(run.trajectory.velocities).max() <= 5.1
 
 
 def test_circles_that_fly_together_are_not_held():
@@ -372,3 +440,65 @@ def test_a_fast_fixed_circle_carries_all_that_it_meets(count):
     position = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position
     assert np.all(np.hypot(*(position[1:] - position[0]).T) > 2.1)
     assert not np.any((position[1:, 0] < 28.0) & (np.abs(position[1:, 1] - 20.0) < 2.1))
+
+
+@pytest.mark.parametrize("rate", [0.6, 0.9, 1.4])
+@pytest.mark.parametrize("what", ["wall", "segment"])
+def test_a_circle_that_moves_by_little_more_than_half_its_radius_is_held_at_what_it_meets(what, rate):
+    """A circle of 1 m, with `rate` metres a step, a fifth of a step before it touches."""
+    line = [((55.0, 10.0), (55.0, 30.0))] if what == "segment" else ()
+    end = (55.0 if line else 60.0) - 1.01 + 0.0025
+    state = scene([[end - 0.2 * rate, 20.0]], [[100.0 * rate, 0.0]], world=replace(NO_GRAVITY, segments=line))
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state
+    assert after.bodies.position[0, 0] == pytest.approx(end, rel=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5 * np.pi, 2.1, -0.7])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("share", [0.03, 0.5, 0.97])
+def test_a_fast_circle_touches_a_segment_anywhere_along_it(share, side, angle):
+    """Also close to its ends. It keeps its way along the segment."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+    out, middle = side * np.array([-along[1], along[0]]), np.array([30.0, 20.0])
+    line = [(tuple(middle - 5.0 * along), tuple(middle + 5.0 * along))]
+    inwards = np.sign(0.5 - share) or 1.0
+    start = middle + (10.0 * share - 5.0) * along + 2.3 * out
+    velocity = 30.0 * inwards * along - 190.0 * out
+    state = scene([start], [velocity], world=replace(NO_GRAVITY, segments=line))
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position[0] - start
+    np.testing.assert_allclose([after @ along, after @ out], [0.3 * inwards, 1.01 - 0.0025 - 2.3], atol=1e-12)
+
+
+FAR = np.column_stack([np.linspace(-900.0, 900.0, 60), np.full(60, -900.0)])
+"""Circles at rest. With them the mean motion is so small that what rests does not search: only what moves does."""
+
+
+def test_what_a_fast_paddle_has_met_pushes_on_with_its_speed():
+    """5 m a step: the paddle holds a disc after 1.0025 m, and this disc, which counts as infinite, holds the next."""
+    place = np.concatenate([[[0.0, 0.0], [3.0, 0.0], [6.0, 0.0]], FAR])
+    velocity = np.zeros_like(place)
+    velocity[0, 0] = 500.0
+    state = scene(place, velocity, world=EMPTY, fixed=np.arange(len(place)) == 0)
+    x = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position[:3, 0]
+    np.testing.assert_allclose(x, 5.0 + 1.9975 * np.arange(3), atol=1e-9)
+
+
+def test_a_ball_that_a_fast_paddle_meets_keeps_its_energy_in_the_frame_of_the_paddle():
+    """e = 1. Under gravity, ½ (v + g Δt / 2)² − g · x is kept, relative to a paddle of constant velocity."""
+    gravity, paddle = np.array([3.0, -9.81]), np.array([0.0, 300.0])
+    place, velocity = np.concatenate([[[0.0, 0.0], [0.0, 4.6]], FAR]), np.zeros((62, 2))
+    velocity[0] = paddle
+    world = replace(EMPTY, gravity=tuple(gravity), restitution=1.0)
+    state = scene(place, velocity, world=world, fixed=np.arange(62) == 0)
+    run = dc.simulate(state, steps=4, record=1, solver=dc.PGS())
+    late = run.trajectory.velocities[:, 1] + 0.005 * gravity - paddle
+    way = run.trajectory.positions[:, 1] - run.trajectory.times[:, None] * paddle
+    energy = 0.5 * (late**2).sum(axis=1) - way @ gravity
+    assert late[-1, 1] > 0.0 > late[0, 1]
+    np.testing.assert_allclose(energy, energy[0], rtol=1e-9)
+
+
+def test_the_middle_of_points_is_that_of_their_bounding_box():
+    points = np.array([[0.0, 7.0], [2.0, -1.0], [1.0, 0.0], [9.0, 9.0]])
+    assert middle_of(points, 3) == (1.0, 3.0)
+    assert middle_of(points[::-1].copy(), 4) == (4.5, 4.0)

@@ -278,3 +278,22 @@ def test_two_discs_of_any_size_and_spin_rebound_by_newton_and_coulomb(e, mu):
         np.testing.assert_allclose(state.bodies.inertia * (after.spin - spin), arm * p_t, atol=1e-9)
     assert slides == {0.0: 12, 0.1: slides, 2.0: 0}[mu]
     assert slides > 3 or mu == 2.0
+
+
+@pytest.mark.parametrize("along", [(1000.0, 0.0), (0.0, 1000.0), (600.0, -800.0), (1000.0, 1e-3)])
+def test_an_approach_that_rounding_makes_is_no_impact(along):
+    """Two that fly together at 1 km/s and come nearer at 1e-10 m/s keep their velocities, at e = 1 too."""
+    along = np.array(along)
+    way = along / np.hypot(*along)
+    place = np.array([50.0, 50.0]) + np.outer([0.0, 2.0 - 1e-9], way)
+    before, after = impact(place, [along, along - 1e-10 * way], restitution=1.0)
+    np.testing.assert_array_equal(after.velocity, before.velocity)
+
+
+@pytest.mark.parametrize(("speed", "rebounds"), [(0.7, False), (0.8, True)])
+def test_box2ds_threshold_holds_without_gravity(speed, rebounds):
+    """1 m/s, times 1 − e² = 0.75."""
+    scales = {"scales": dc.BOX2D, "restitution": 0.5}
+    _, after = impact([[50.0, 50.0], [52.0 - 1e-9, 50.0]], [[speed, 0.0], [0.0, 0.0]], **scales)
+    right = [0.25 * speed, 0.75 * speed] if rebounds else [speed, 0.0]
+    np.testing.assert_allclose(after.velocity[:, 0], right, rtol=1e-9)

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 import deep_contact as dc
 from deep_contact.solvers import METHODS
 from deep_contact.stepping.problem import contacts_of
-from deep_contact.stepping.segment_grid import END, START, circles_beside, in_grid, near_box, segments_in_grid
-from deep_contact.stepping.segments import clamp_beside, time_to_touch, touches
+from deep_contact.stepping.segment_grid import BEHIND, END, START, circles_beside, in_grid, near_box, segments_in_grid
+from deep_contact.stepping.segments import clamp_beside, hides, time_to_touch, touches
 
 BOX = (0.0, 0.0, 60.0, 40.0)
 EVERYWHERE = (-1e10, -1e10, 1e10, 1e10)
@@ -325,3 +325,27 @@ def test_a_crowd_pressed_against_a_segment_stays_on_its_side():
     )  # fmt: skip
     after = dc.simulate(state, steps=300, solver=dc.PGS(sweeps=1)).state
     assert (after.bodies.position[:, 1] > 10).all()
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("angle", [0.0, 0.5 * np.pi, 2.5])
+def test_an_end_just_behind_a_segment_is_hidden_from_the_side_of_the_circle(angle, side, turned):
+    """Seen from there: as far behind as `BEHIND` says, and in front only as far as `ON` says."""
+    along, reach = np.array([np.cos(angle), np.sin(angle)]), 1.01
+    out = side * np.array([-along[1], along[0]])
+    line = np.concatenate([-5.0 * along, 5.0 * along, [0.0]])
+    if turned:
+        line[:4] = line[[2, 3, 0, 1]]
+    for depth, is_hidden in ((0.5 * BEHIND, True), (-0.5 * BEHIND, False), (1.1 * BEHIND, False), (0.0, True)):
+        end = 0.4 * along - depth * reach * out
+        assert hides(line, *end, *(0.3 * along + reach * out), reach) == is_hidden
+
+
+def test_more_contacts_with_segments_than_the_buffer_holds():
+    """Two hundred segments cross in a point; the buffer is made larger until all contacts fit."""
+    angles = np.pi * np.arange(200) / 200
+    along = np.column_stack([np.cos(angles), np.sin(angles)])
+    crossing = [(tuple(15.0 - 5.0 * one), tuple(15.0 + 5.0 * one)) for one in along]
+    state = dc.find_contacts(circles_at([[15.0, 15.0 + 0.3]], segments=crossing))
+    assert state.contacts.body_b.tolist() == list(range(5, 205))

@@ -127,3 +127,19 @@ def test_a_change_of_the_step_shifts_only_what_no_contact_pushes():
     state.contacts.normal_impulse[:] = 0.0
     shift_flights(state.bodies, state.contacts, (2.0, -10.0), -0.01, None, np.zeros((0, 2)))
     np.testing.assert_allclose(state.bodies.velocity[2:], [[0.99, 1.05], [1.0, 1.0]], rtol=1e-15)
+
+
+@pytest.mark.parametrize("gravity", [(0.0, -700.0), (700.0, 0.0), (-700.0, 0.0), (0.0, 700.0)])
+@pytest.mark.parametrize("what", ["wall", "segment"])
+def test_the_speed_that_gravity_gives_in_a_step_counts(what, gravity):
+    """7 m/s for 0.01 s are 4.7 reaches of 0.03 · 0.5 m, so there are 8 parts. The other way nothing is near."""
+    way = np.sign(gravity)
+    left = np.array([-way[1], way[0]])
+    place, line = 4.45 * way, ()
+    if what == "segment":
+        place, line = 0.0 * way, [(tuple(0.55 * way - 2.0 * left), tuple(0.55 * way + 2.0 * left))]
+    scene = circles_at([place], radius=0.5, gravity=gravity, box=(-5.0, -5.0, 5.0, 5.0), segments=line)
+    solver = dc.PGS(sweeps=20, tolerance=None, most_substeps=16)
+    assert dc.simulate(scene, steps=1, solver=solver).substeps.tolist() == [8]
+    away = scene.replace(world=replace(scene.world, gravity=tuple(-np.array(gravity))))
+    assert dc.simulate(away, steps=1, solver=solver).substeps.tolist() == [1]
