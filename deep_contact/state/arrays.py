@@ -67,6 +67,8 @@ class Bodies(NamedTuple):
 
     A fixed circle moves with its own velocity and spin, which no force or contact changes: if both are 0 it is a peg,
     otherwise a roller. Fixed circles, walls and segments have no contacts among themselves.
+
+    `pandas.DataFrame(bodies.table())` has a row for each circle; `pandas.DataFrame(bodies)` raises an error.
     """
 
     position: np.ndarray
@@ -121,6 +123,8 @@ class Contacts(NamedTuple):
     | tangent_impulse | λ_t, solved; in an unsolved state the start      | (m,)   | N·s  |
     | normal_start    | λ_n that the solver starts from                  | (m,)   | N·s  |
     | tangent_start   | λ_t that the solver starts from                  | (m,)   | N·s  |
+
+    `pandas.DataFrame(contacts.table())` has a row for each contact; `pandas.DataFrame(contacts)` has one for each field.
     """
 
     body_a: np.ndarray

@@ -36,9 +36,10 @@ def make_bodies(
 ) -> Bodies:
     """Circles from their centres; every other argument is one value for all circles, or one for each.
 
-    position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. angle: rad, counter-clockwise. spin: rad/s,
-    counter-clockwise. density: kg/m², used if `mass` is None. mass: kg. fixed: True for circles whose motion no force
-    or contact changes; their mass is infinite (`Bodies`), whatever `mass` and `density` are.
+    position: (n, 2), m. radius: m; without it each circle has a radius of 1 m, also where the positions
+    come from a file. velocity: (2,) or (n, 2), m/s. angle: rad, counter-clockwise. spin: rad/s, counter-clockwise.
+    density: kg/m², used if `mass` is None. mass: kg. fixed: True for circles whose motion no force or contact changes;
+    their mass is infinite (`Bodies`), whatever `mass` and `density` are.
     Raises ValueError naming the field, the body and the value.
     """
     places = real_numbers(position)
