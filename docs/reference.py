@@ -37,7 +37,7 @@ SYNONYMS = {
         "GPU, CUDA, periodic, 3d, sphere, polygon, capsule, spring, joint, hinge, distance constraint, cohesion, fluid, "
         "differentiable, gradient, soft body, rolling resistance, rope"
     ),
-    "gallery/other_programs.md": "vtk, ParaView, OVITO, xyz, pandas, polars, dataframe, export, LAMMPS, ASE, vtu",
+    "gallery/other_programs.md": "vtk, ParaView, OVITO, xyz, pandas, polars, dataframe, export, LAMMPS, ASE, vtu, pvd",
 }
 """Page -> words by which people look for it, and which its text may not have. The search ranks them above all texts."""
 
