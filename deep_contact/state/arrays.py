@@ -124,7 +124,7 @@ class Contacts(NamedTuple):
     | normal_start    | λ_n that the solver starts from                  | (m,)   | N·s  |
     | tangent_start   | λ_t that the solver starts from                  | (m,)   | N·s  |
 
-    `pandas.DataFrame(contacts.table())` has a row for each contact; `pandas.DataFrame(contacts)` has one for each field.
+    `pandas.DataFrame(contacts.table())` has a row for each contact; `pandas.DataFrame(contacts)` has one a field.
     """
 
     body_a: np.ndarray
