@@ -42,6 +42,8 @@ for _task, _names in reference.TASKS.items():
     PAGES = {_name: f"api/{reference.page_of(_task)}.md" for _name in _names.split()} | PAGES
 if sorted(PAGES) != sorted(PLACES):
     raise PluginError(f"docs/reference.py: expected each public name once, got {sorted(PAGES.keys() ^ PLACES.keys())}")
+MODELS = ROOT / "models"
+"""Its README.md is a page of the site, `models.md`."""
 THUMBNAIL = 280
 """Width of the pictures in the index of results, pixels."""
 _pictures, _titles = {}, {}
@@ -78,6 +80,9 @@ def on_files(files, config):
     for name in MODULES:
         files.append(File.generated(config, PAGES[name], content=f"# dc.{name}\n\n::: {PLACES[name]}\n{_handed_on(name)}"))
     files.append(File.generated(config, "api/index.md", content=_public_names()))
+    files.append(File.generated(config, "models.md", content=_models()))
+    for path in MODELS.glob("*.png"):
+        files.append(File.generated(config, f"models/{path.name}", abs_src_path=str(path)))
     for path in (ROOT / "data" / "reference").glob("*.png"):
         files.append(File.generated(config, f"reference/{path.name}", abs_src_path=str(path)))
         small = Path(_work.name) / path.name
@@ -104,7 +109,18 @@ def on_page_markdown(markdown, page, config, files):
         markdown = re.sub(r"\[(T?[ .\d]+)\]\(\.\./data/reference/(\w+\.png)\)", small, markdown)
     markdown = re.sub(r"\(((?:gallery/)?\w+)\.py\)", r"(\1.md)", markdown)
     markdown = markdown.replace("](../deep_contact/__init__.py)", "](api/index.md)")
-    return markdown.replace("](../data/reference/", "](reference/")
+    markdown = markdown.replace("](../models/README.md", "](models.md").replace("](../data/reference/", "](reference/")
+    outside = re.findall(r"\]\((\.\./[^)]*)\)", markdown) if "/" not in page.file.src_uri else ()
+    if outside:  # MkDocs does not warn of it
+        raise PluginError(f"{page.file.src_uri}: expected links to pages of the site, got {', '.join(outside)}")
+    return markdown
+
+
+def _models() -> str:
+    """The page of the networks: models/README.md without the entries that stand before its title."""
+    text = (MODELS / "README.md").read_text(encoding="utf-8")
+    text = text[text.index("\n# Models\n") :]
+    return re.sub(r"\]\((\w+\.png)\)", r"](models/\1)", text)
 
 
 def _handed_on(name: str) -> str:

@@ -7,7 +7,7 @@ import re
 
 import griffe
 
-from deep_contact.state import constants
+from deep_contact.state import constants, scales
 
 TASKS = {
     "Make a scene": (
@@ -37,7 +37,7 @@ SYNONYMS = {
         "GPU, CUDA, periodic, 3d, sphere, polygon, capsule, spring, joint, hinge, distance constraint, cohesion, fluid, "
         "differentiable, gradient, soft body, rolling resistance, rope"
     ),
-    "gallery/other_programs.md": "vtk, ParaView, OVITO, xyz, pandas, polars, dataframe, export, LAMMPS, ASE, vtu",
+    "gallery/other_programs.md": "vtk, ParaView, OVITO, xyz, pandas, polars, dataframe, export, LAMMPS, ASE, vtu, pvd",
 }
 """Page -> words by which people look for it, and which its text may not have. The search ranks them above all texts."""
 
@@ -109,10 +109,18 @@ def split(text: str, names: list[str]) -> tuple[str, dict[str, str]]:
     return "\n\n".join(filter(None, paragraphs)), about
 
 
-def documented(text: str, parameters) -> str:
-    """A docstring with a table of the arguments."""
+def documented(text: str, parameters, bases=()) -> str:
+    """A docstring with a table of the arguments.
+
+    bases: docstrings of the classes from which a class inherits arguments, the nearest first. They say what an argument
+    means that the docstring leaves out, or of which it says "see `Base`".
+    """
     shown = [one for one in parameters if one.name not in ("self", "cls")]
-    rest, about = split(text, [one.name for one in shown]) if shown else (text, {})
+    names = [one.name for one in shown]
+    rest, about = split(text, names) if shown else (text, {})
+    about = {name: meaning for name, meaning in about.items() if not re.search(r"\bsee `\w+`$", meaning)}
+    for base in bases:
+        about = split(base, names)[1] | about
     rows = []
     for one in shown:
         stars = {"variadic positional": "*", "variadic keyword": "**"}.get(str(one.kind and one.kind.value), "")
@@ -126,16 +134,24 @@ def documented(text: str, parameters) -> str:
 
 
 def _value(text: str) -> str:
+    text = repr(scales.FOLLOWS_SCENE) if text == "FOLLOWS_SCENE" else text
     return re.sub(r"constants\.(\w+)", lambda name: repr(getattr(constants, name[1])), text)
 
 
 class Arguments(griffe.Extension):
     """Puts a table of the arguments into the docstrings of public functions and classes."""
 
+    def __init__(self):
+        super().__init__()
+        self._made = []
+
     def on_package(self, *, pkg, **kwargs) -> None:
         self._change(pkg)
+        for member, text in self._made:
+            member.docstring.value = text
 
     def _change(self, module) -> None:
+        """Make the docstrings of a module. They are kept until all are made: a class reads those of its bases."""
         for name, member in module.members.items():
             if member.is_alias or name.startswith("_"):
                 continue
@@ -143,5 +159,6 @@ class Arguments(griffe.Extension):
                 self._change(member)
             has_table = member.docstring and "| field" in member.docstring.value
             if member.docstring and (member.is_function or (member.is_class and not has_table)):
-                parameters = list(member.parameters)
-                member.docstring.value = documented(member.docstring.value, parameters)
+                bases = [one.docstring.value for one in member.mro() if one.docstring] if member.is_class else ()
+                made = documented(member.docstring.value, list(member.parameters), bases)
+                self._made.append((member, made))

@@ -20,7 +20,7 @@ import numpy as np
 from deep_contact.cnn.convolution import Program
 from deep_contact.cnn.far_field import COARSENING, FarFieldSpec, correct, description_of
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
-from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, read_model, weights_of
+from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, check_network, read_model, weights_of
 from deep_contact.cnn.registry import network_file
 from deep_contact.state.equality import by_value
 from deep_contact.state.state import State
@@ -72,6 +72,7 @@ class LearnedModel:
     far-field network. spec: the definition of the network's images. card: the network's origin and errors. box: (width,
     height) of the only box that a network of fixed size takes, m, or None. path: path of the file from which the
     network was read, or None.
+    Raises ValueError naming the model, its shape and the expected shape.
     """
 
     source: object
@@ -82,11 +83,19 @@ class LearnedModel:
     _compiled: dict = field(default_factory=dict, init=False, compare=False)
 
     def __post_init__(self):
-        is_network = isinstance(self.source, StoredNetwork) or hasattr(self.source, "input_shape")
+        is_stored, has_shape = isinstance(self.source, StoredNetwork), hasattr(self.source, "input_shape")
+        if not (is_stored or has_shape) and hasattr(self.source, "layers"):
+            hint = "a functional model has one, and a Sequential that begins with keras.Input"
+            raise ValueError(f"source: expected a keras.Model with an input_shape, got {brief(self.source)}; {hint}")
         hint = "keras.models.load_model reads a file"
-        expect(is_network, f"source: expected a keras.Model, got {brief(self.source)}; {hint}")
+        expect(is_stored or has_shape, f"source: expected a keras.Model, got {brief(self.source)}; {hint}")
         is_spec = isinstance(self.spec, (ImageSpec, FarFieldSpec))
         expect(is_spec, f"spec: expected what its images are made of, such as ImageSpec(), got {brief(self.spec)}")
+        if not is_stored:
+            try:
+                check_network(self.source, self.spec)
+            except ValueError as error:
+                raise ValueError(f"{self._called()}: {error}") from None
 
     @cached_property
     def network(self):
@@ -170,7 +179,7 @@ class LearnedModel:
     def _output_shape(self, shape):
         takes = self.network.input_shape[1:]
         if len(shape) != 3 or any(side not in (None, nodes) for side, nodes in zip(takes, shape)):
-            raise ValueError(f"image: expected shape {takes}, got {shape}")
+            raise ValueError(f"{self._called()}: image: expected shape {takes}, got {shape}")
         return (*shape[:2], len(self.spec.targets))
 
     def _compile(self, shape, output):
@@ -184,6 +193,10 @@ class LearnedModel:
         traced = tf.function(lambda image: self.network(image, training=False))
         # A concrete function does not look up the signature, which would take a tenth of a small network's time.
         concrete = traced.get_concrete_function(tf.TensorSpec((1, *shape), tf.float32))
+        gives = tuple(concrete.structured_outputs.shape)
+        if None not in gives and np.prod(gives) != np.prod(output):
+            expected = f"expected shape {(1, *output)} for an input of {(1, *shape)}"
+            raise ValueError(f"{self._called()}: output: {expected}, got {gives}")
         return lambda image: concrete(tf.constant(image[None])).numpy().reshape(output)
 
     def _check_scene(self, state):
@@ -195,7 +208,13 @@ class LearnedModel:
             got = f"got {extent[0]:g} m × {extent[1]:g} m"
             raise ModelFileError(f'box: expected {expected}, {got}; the network "far field" takes any box')
         if None not in size and shape != size:
-            raise ModelFileError(f"shape: expected images of {size} nodes, the network's only size, got {shape}")
+            raise ModelFileError(
+                f"{self._called()}: shape: expected images of {size} nodes, its only size, got {shape}"
+            )
+
+    def _called(self) -> str:
+        """The model as errors name it: its file, or its name in Keras."""
+        return f"model {getattr(self.source, 'name', '')!r}" if self.path is None else str(self.path)
 
     def describe(self) -> dict[str, str]:
         """Return a text for each property of the model: its file, architecture, size, input and output."""

@@ -120,7 +120,7 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=N
     size = None if box is None else [float(box[2]) - float(box[0]), float(box[3]) - float(box[1])]
     metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": spec.multiple, "box": size, "card": card}
     config = json.dumps(portable(json.loads(model.to_json())))
-    _check_fit(model, weights, spec, size)
+    _check_fit(model, spec, size)
     # The file is made in memory first. On a full disk HDF5 can end the process, while a plain write raises OSError.
     content = io.BytesIO()
     with h5py.File(content, "w") as file:
@@ -158,7 +158,7 @@ def read_model(path):
     network, spec, metadata = _read(Path(path))
     model = network if isinstance(spec, FarFieldSpec) else network.build()
     try:
-        _check_fit(model, network.weights, spec, metadata["box"])
+        _check_fit(model, spec, metadata["box"])
     except ValueError as error:
         raise ModelFileError(f"{path}: {error}") from None
     return model, spec, metadata
@@ -172,24 +172,35 @@ def spec_of(metadata: dict) -> ImageSpec | FarFieldSpec:
     return spec
 
 
-def _check_fit(model, weights: dict, spec: ImageSpec | FarFieldSpec, box) -> None:
-    """Raise ValueError unless the network's input and output have the channels and targets of the spec.
+def _check_fit(model, spec: ImageSpec | FarFieldSpec, box) -> None:
+    """Raise ValueError unless the network fits the spec (`check_network`), and one of a fixed size has its box."""
+    check_network(model, spec)
+    if isinstance(spec, ImageSpec):
+        n = model.input_shape[1:3]
+        expect(box is not None or None in n, f"box: expected [width, height] for a network of {n} nodes, got none")
 
-    For a far-field network the shapes of its weights are checked, for any other the shapes of its `keras.Model`.
+
+def check_network(model, spec: ImageSpec | FarFieldSpec) -> None:
+    """Raise ValueError unless the network takes the spec's images and gives its targets.
+
+    A far-field network is judged by its weights, any other by the shapes of its `keras.Model`. Its output may be flat
+    if it takes images of one size only. A side that is None fits any number of nodes.
     """
     if isinstance(spec, FarFieldSpec):
-        expected = "expected the layers of architectures.far_field"
+        weights, expected = weights_of(model), "expected the layers of architectures.far_field"
         return expect(is_far_field(weights), f"model_weights: {expected}, got {', '.join(weights)}")
-    channels, targets = len(spec.channels), len(spec.targets)
     inputs, outputs = model.input_shape, model.output_shape
-    fits = isinstance(inputs, tuple) and len(inputs) == 4 and inputs[-1] == channels
-    expect(fits, f"channels: expected {', '.join(spec.channels)}, got a network of shape {inputs}")
-    is_fixed = None not in inputs[1:3]
-    is_flat = is_fixed and outputs[1:] == (inputs[1] * inputs[2] * targets,)
-    fits = is_flat or (len(outputs) == 4 and outputs[-1] == targets)
-    expect(fits, f"targets: expected {', '.join(spec.targets)}, got outputs of shape {outputs}")
-    fits = box is not None or not is_fixed
-    expect(fits, f"box: expected [width, height] for a network of {inputs[1:3]} nodes, got none")
+    channels, targets = len(spec.channels), len(spec.targets)
+    fits = isinstance(inputs, tuple) and len(inputs) == 4 and inputs[3] == channels
+    expected = f"expected an input of shape (None, n_y, n_x, {channels}) for {', '.join(spec.channels)}"
+    expect(fits, f"channels: {expected}, got {inputs}")
+    n_y, n_x = sides = inputs[1:3]
+    shape = outputs if isinstance(outputs, tuple) else ()
+    is_flat = None not in sides and shape[1:] == (n_y * n_x * targets,)
+    same = all(None in pair or pair[0] == pair[1] for pair in zip(shape[1:3], sides))
+    fits = is_flat or (len(shape) == 4 and same and shape[3] == targets)
+    expected = f"expected an output of shape (None, {n_y or 'n_y'}, {n_x or 'n_x'}, {targets})"
+    expect(fits, f"targets: {expected} for {', '.join(spec.targets)}, got {outputs}")
 
 
 # ---- Keras's configuration, reduced to the fields that every supported version of Keras reads ----

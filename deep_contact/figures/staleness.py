@@ -163,14 +163,17 @@ def everywhere() -> dict[str, str]:
 
 @cache
 def made_by(script: Path | None = None) -> dict:
-    """Return the digests of the code behind a script's results, which `reason` compares, or {} if there is no script.
+    """Return the digests of the code behind a script's results, which `reason` compares.
+
+    Returns {} if no script runs, or outside of a checkout.
 
     script: path of the script; by default the script that runs now. The result has the keys "code", the statements in
     modules that the golden runs do not import; "held", one digest of all statements in modules that they import; and
     "golden", the digest of the bits of the golden runs.
     """
     script = script or Path(getattr(sys.modules["__main__"], "__file__", None) or "none").resolve()
-    if script.suffix != ".py" or not script.is_file() or "site-packages" in script.parts:
+    is_checkout = (ROOT / "deep_contact").is_dir()
+    if script.suffix != ".py" or not script.is_file() or "site-packages" in script.parts or not is_checkout:
         return {}
     runs = ROOT / "tests" / "tools" / "golden.py"
     held = {one for one in reached(runs) if one.suffix == ".py"} if runs.is_file() else set()

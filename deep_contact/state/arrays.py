@@ -72,6 +72,8 @@ class Bodies(NamedTuple):
 
     A fixed circle moves with its own velocity and spin, which no force or contact changes. If both are 0 it is a peg,
     otherwise a roller. Fixed circles, walls and segments have no contacts among themselves.
+
+    `pandas.DataFrame(bodies.table())` has a row for each circle; `pandas.DataFrame(bodies)` raises an error.
     """
 
     position: np.ndarray
@@ -129,6 +131,8 @@ class Contacts(NamedTuple):
     | tangent_impulse | solved λ_t; in an unsolved state the starting λ_t                            | (m,)   | N·s  |
     | normal_start    | λ_n from which the solver starts                                             | (m,)   | N·s  |
     | tangent_start   | λ_t from which the solver starts                                             | (m,)   | N·s  |
+
+    `pandas.DataFrame(contacts.table())` has a row for each contact. `pandas.DataFrame(contacts)` has a row for each field.
     """
 
     body_a: np.ndarray

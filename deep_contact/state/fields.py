@@ -39,7 +39,8 @@ def make_bodies(
 ) -> Bodies:
     """Make circles from their centres. Every other argument is one value for all circles, or one value for each circle.
 
-    position: centres, (n, 2), m. radius: radii, m. velocity: velocities of the centres, (2,) or (n, 2), m/s. angle:
+    position: centres, (n, 2), m. radius: radii, m; 1 m if they are left out, also
+    where positions come from a file. velocity: velocities of the centres, (2,) or (n, 2), m/s. angle:
     orientations, rad, counter-clockwise. spin: angular velocities, rad/s, counter-clockwise. density: mass per area,
     kg/m², used if `mass` is None. mass: masses, kg. fixed: whether no force or contact changes the motion of a circle;
     a fixed circle has an infinite mass (`Bodies`), whatever `mass` and `density` are. Raises ValueError naming the

@@ -1,10 +1,17 @@
 """Tables for pandas and CSV, extended xyz for OVITO and ASE, VTK for ParaView.
 
 `table()` of bodies, contacts and trajectories is a dictionary of columns, which pandas and
-polars take. Extended xyz keeps every bit. ParaView opens the `.vtu` files, one a state, as
-an animation; its filter "Glyph" draws the circles: spheres scaled by `radius`, with the scale
-factor 2, since its sphere has a radius of one half.
+polars take. (`DataFrame(bodies)` without `table()` raises an error.) A file without a column of
+radii needs radii from elsewhere: without `radius=`, `make_bodies` gives each circle a radius of
+1 m. Extended xyz keeps every bit.
+
+A `.vtu` file has one state and no time. `run.pvd`, VTK's collection file, lists the files and
+the time of each in s. Open `run.pvd` in ParaView, and its animation has these times. The filter
+"Glyph" draws the circles: spheres scaled by `radius`, with the scale factor 2, since its sphere
+has a radius of one half.
 """
+
+from pathlib import Path
 
 import meshio
 import numpy as np
@@ -46,8 +53,22 @@ write_xyz("run.xyz", run.trajectory)
 first = run.trajectory[0].bodies
 print("the same bodies:", read_xyz("run.xyz") == first._replace(angle=first.angle * 0))
 
-for k, state in enumerate(run.trajectory):
-    points = np.pad(state.bodies.position, ((0, 0), (0, 1)))  # z = 0
+
+def write_vtu(path, bodies):
+    points = np.pad(bodies.position, ((0, 0), (0, 1)))  # z = 0
     cells = [("vertex", np.arange(len(points))[:, None])]
-    mesh = meshio.Mesh(points, cells, point_data=state.bodies.table())
-    meshio.write(f"run_{k:03d}.vtu", mesh)
+    meshio.write(path, meshio.Mesh(points, cells, point_data=bodies.table()))
+
+
+def write_pvd(path, files, times):
+    entry = '<DataSet timestep="{!r}" part="0" file="{}"/>'
+    entries = [entry.format(float(time), file) for file, time in zip(files, times)]
+    head = '<VTKFile type="Collection" version="0.1"><Collection>'
+    text = "\n".join([head, *entries, "</Collection></VTKFile>\n"])
+    Path(path).write_text(text, encoding="utf-8")
+
+
+files = [f"run_{k:03d}.vtu" for k in range(len(run.trajectory))]
+for file, state in zip(files, run.trajectory):
+    write_vtu(file, state.bodies)
+write_pvd("run.pvd", files, run.trajectory.times)

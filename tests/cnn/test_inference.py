@@ -325,6 +325,89 @@ def test_plain_keras_between_input_and_impulses_gives_the_prediction(name, falli
         net.run(np.zeros((60, 60, 5)))
 
 
+def plain(*layers, takes=(None, None, 5), gives=2, **options):
+    """A small network of plain Keras, called "mine", whose last layer is a convolution."""
+    last = keras.layers.Conv2D(gives, 3, padding="same", **options)
+    return keras.Sequential([keras.Input(takes), *layers, last], name="mine")
+
+
+def plain_of_two():
+    """A network of plain Keras, "mine", that takes two images."""
+    images = [keras.Input((61, 61, 5)) for _ in range(2)]
+    return keras.Model(images, plain()(keras.layers.add(images)), name="mine")
+
+
+WRONG_SHAPES = {
+    "four channels": (
+        lambda: plain(takes=(None, None, 4)),
+        r"channels: expected an input of shape \(None, n_y, n_x, 5\) for mass, .*, got \(None, None, None, 4\)",
+    ),
+    "a vector": (
+        lambda: keras.Sequential([keras.Input((5,)), keras.layers.Dense(2)], name="mine"),
+        r"channels: expected an input of shape .*, got \(None, 5\)",
+    ),
+    "two inputs": (
+        plain_of_two,
+        r"channels: expected an input of shape .*, got \[\(None, 61, 61, 5\), \(None, 61, 61, 5\)\]",
+    ),
+    "one target": (
+        lambda: plain(gives=1),
+        r"targets: expected an output of shape \(None, n_y, n_x, 2\) for normal_.*, got \(None, None, None, 1\)",
+    ),
+    "half of the nodes": (
+        lambda: plain(takes=(61, 61, 5), strides=2),
+        r"targets: expected an output of shape \(None, 61, 61, 2\) for .*, got \(None, 31, 31, 2\)",
+    ),
+    "flat, too short": (
+        lambda: keras.Sequential([plain(takes=(61, 61, 5), gives=1), keras.layers.Flatten()], name="mine"),
+        r"targets: expected an output of shape \(None, 61, 61, 2\) for .*, got \(None, 3721\)",
+    ),
+}
+"""What is wrong with a network of fixed shapes -> the network, and what the error says."""
+
+
+@pytest.mark.parametrize("name", WRONG_SHAPES)
+def test_a_network_of_a_wrong_shape_is_refused_when_it_is_made_a_start(name):
+    made, said = WRONG_SHAPES[name]
+    with pytest.raises(ValueError, match=f"^model 'mine': {said}$"):
+        LearnedModel(source=made(), spec=SPEC)
+
+
+def test_a_network_that_halves_images_of_any_size_is_refused_when_it_is_used(falling_states):
+    """Its shapes are known once it has seen an image."""
+    model, state = LearnedModel(source=plain(strides=2), spec=SPEC), falling_states[5]
+    expected = r"expected shape \(1, 61, 61, 2\) for an input of \(1, 61, 61, 5\), got \(1, 31, 31, 2\)"
+    for use in (model.predict, lambda state: dc.step(state, warm_start=model)):
+        with pytest.raises(ValueError, match=f"^model 'mine': output: {expected}$"):
+            use(state)
+
+
+def test_a_network_of_one_size_names_itself_where_an_image_has_another(tmp_path):
+    state = small_state((4.0, 6.0))
+    own = LearnedModel(source=plain(takes=(9, 13, 5)), spec=SPEC)
+    with pytest.raises(ValueError, match=r"^model 'mine': shape: expected images of \(9, 13\) .*, got \(13, 9\)$"):
+        own.predict(state)
+    path = save_model(tmp_path / "own.h5", own.source, SPEC, {}, box=(0, 0, 4, 6))
+    with pytest.raises(ModelFileError, match=r"own\.h5: shape: expected images of \(9, 13\) .*, got \(13, 9\)$"):
+        load_model(path).predict(state)
+
+
+def test_a_flat_output_of_one_size_fits():
+    made = keras.Sequential([plain(takes=(61, 61, 5)), keras.layers.Flatten()])
+    assert LearnedModel(source=made, spec=SPEC).run(np.zeros((61, 61, 5))).shape == (61, 61, 2)
+
+
+def test_a_network_without_shapes_of_its_own_is_refused():
+    """As a Sequential before its first call, or a subclass of `keras.Model`."""
+    with pytest.raises(ValueError, match=r"^source: expected a keras\.Model with an input_shape, .*keras\.Input$"):
+        LearnedModel(source=keras.Sequential([keras.layers.ReLU()]), spec=SPEC)
+
+
+def test_a_network_that_is_no_far_field_network_is_refused():
+    with pytest.raises(ValueError, match=r"^model 'mine': model_weights: expected the layers of"):
+        inference.FarFieldModel(source=plain(), spec=far_field.FarFieldSpec())
+
+
 def test_inference_is_traced_once(network, falling_states, monkeypatch):
     compilations = []
     compiled = lambda model, shape, output: compilations.append(shape) or (lambda image: image[..., :2])  # noqa: E731

@@ -158,6 +158,14 @@ def test_an_import_that_is_nowhere_is_an_error(old):
         old(edited(SCRIPT, "deep_contact.studies", "deep_contact.gone"))
 
 
+def test_an_installed_package_says_not_what_code_made_the_results_of_a_clones_scripts(old, tmp_path, monkeypatch):
+    """`pip install .` and then `python scripts/figure_….py` ended in an error, after the whole run."""
+    old()
+    monkeypatch.setattr(staleness, "ROOT", tmp_path / "site-packages" / "deep_contact")
+    staleness.made_by.cache_clear()
+    assert staleness.made_by(tmp_path / SCRIPT) == {}
+
+
 def test_a_script_counts_what_it_runs():
     def files(name):
         return {one.relative_to(ROOT).as_posix() for one in staleness.reached(staleness.commands()[name][0])}

@@ -3,6 +3,7 @@
 import copy
 import pickle
 from dataclasses import fields, is_dataclass
+from functools import cache
 
 import numpy as np
 import pytest
@@ -40,7 +41,10 @@ def results():
     }
 
 
-RESULTS = {name: make() for name, make in results().items()}
+@cache
+def result(name):
+    """A result made once, and not when tests are collected: a network makes TensorFlow keep its number of threads."""
+    return results()[name]()
 
 
 def altered(value):
@@ -67,31 +71,31 @@ def altered(value):
                 yield changed
 
 
-@pytest.mark.parametrize("name", RESULTS)
+@pytest.mark.parametrize("name", results())
 def test_a_result_equals_what_is_made_anew_and_a_copy_and_nothing_else(name):
-    first = RESULTS[name]
+    first = result(name)
     assert first == first
     for other in (results()[name](), pickle.loads(pickle.dumps(first)), copy.deepcopy(first)):
         assert (first == other) is True
         assert (first != other) is False
         assert other in [None, "text", first]
         assert [other, first].index(first) == 0
-    for other in (None, 3, "text", (), *(value for key, value in RESULTS.items() if key != name)):
+    for other in (None, 3, "text", (), *(result(key) for key in results() if key != name)):
         assert (first == other) is False
         assert (first != other) is True
 
 
-@pytest.mark.parametrize("name", sorted({*RESULTS} - {"World", "Recommendation", "Plan", "LearnedModel"}))
+@pytest.mark.parametrize("name", sorted({*results()} - {"World", "Recommendation", "Plan", "LearnedModel"}))
 def test_one_number_of_one_array_makes_a_result_another(name):
-    others = list(altered(RESULTS[name]))
+    others = list(altered(result(name)))
     assert len(others) >= (1 if name == "ConvergenceRecord" else 2)
     for other in others:
-        assert (RESULTS[name] == other) is False
-        assert RESULTS[name] not in [other]
+        assert (result(name) == other) is False
+        assert result(name) not in [other]
 
 
 def test_one_weight_makes_a_network_of_keras_another():
-    first = RESULTS["LearnedModel"]
+    first = result("LearnedModel")
     other = copy.deepcopy(first)
     weights = other.network.get_weights()
     weights[3].flat[-1] += 1.0
@@ -134,4 +138,4 @@ def test_a_run_and_a_trade_equal_those_of_their_files(tmp_path):
 def test_a_result_is_not_hashed():
     for name in ("Simulation", "Trajectory", "ContactSolution", "Forces", "Bodies"):
         with pytest.raises(TypeError, match="unhashable"):
-            hash(RESULTS[name])
+            hash(result(name))

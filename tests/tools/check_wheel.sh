@@ -100,13 +100,14 @@ deep-contact train --from "far field" --data data/generated/quick --epochs 1 --s
 deep-contact simulate --bodies 10 --steps 8 --every 4 --out film.gif
 deep-contact simulate --bodies 10 --steps 8 --every 4 --out run.html
 deep-contact figure 5.3 --quick > figure.txt
+python "$source/scripts/figure_3_5_bilinear.py" --quick > script.txt  # of a clone, with the installed package
 deep-contact table 5.1 --quick > table.txt
 programs=("$source"/docs/gallery/predict_impulses.py)
 [ -z "$other" ] || programs=("$source"/docs/gallery/*.py)
 for program in "${programs[@]}"; do
     mkdir "${program##*/}" && (cd "${program##*/}" && python "$program" > printed.txt)
 done
-for file in later.xml run.h5 predictions/rest_362.csv film.gif run.html trained/model.h5 figures/figure_5_3.png figures/table_5_1.json; do
+for file in later.xml run.h5 predictions/rest_362.csv film.gif run.html trained/model.h5 figures/figure_5_3.png figures/figure_3_5.png figures/table_5_1.json; do
     [ -s "$file" ] || { echo "$file: expected a file, got none"; exit 1; }
 done
 
