@@ -132,7 +132,8 @@ class Contacts(NamedTuple):
     | normal_start    | λ_n from which the solver starts                                             | (m,)   | N·s  |
     | tangent_start   | λ_t from which the solver starts                                             | (m,)   | N·s  |
 
-    `pandas.DataFrame(contacts.table())` has a row for each contact. `pandas.DataFrame(contacts)` has a row for each field.
+    `pandas.DataFrame(contacts.table())` has a row for each contact. `pandas.DataFrame(contacts)` has a row for each
+    field.
     """
 
     body_a: np.ndarray
