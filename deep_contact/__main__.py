@@ -306,12 +306,16 @@ def _scene(args):
 
 KINDS = {
     "a pile": ("lattice_in_box", {"accuracy": "fast"}),
-    "many circles": ("lattice_in_box", {"method": "BatchedPGS"}),
+    "terrain, fast circles and bounces": ("terrain", {"accuracy": "fast"}),
     "segments that move": ("drum", {"accuracy": "fast"}),
     "a pile, accurately": ("lattice_in_box", {"accuracy": "reference"}),
+    "many circles": ("lattice_in_box", {"method": "BatchedPGS"}),
 }
 """Name -> function of a scene, and options of `simulate`. Each pair needs machine code of its own, which `warm-up`
-compiles. The pair that takes longest comes first."""
+compiles, in the order in which people need it."""
+
+MINUTES = 3.0
+"""Processor time that `warm-up` takes on a common machine with nothing compiled, min."""
 
 
 def _warm_up(args) -> int:
@@ -320,10 +324,11 @@ def _warm_up(args) -> int:
 
     # Imported by its full name, so that other processes find it. Under `python -m` this module is called __main__.
     from deep_contact.__main__ import _compile
-    from deep_contact.parallel import cores, finished
+    from deep_contact.parallel import cores, finished, progress_bar
 
     begun, jobs = time.perf_counter(), min(cores(), len(KINDS))
-    for number, seconds in finished(_compile, KINDS, jobs=jobs):
+    print(f"compiling in {jobs} processes, in the order of need; about {MINUTES / jobs:.0f} minutes", flush=True)
+    for number, seconds in progress_bar(finished(_compile, KINDS, jobs=jobs), total=len(KINDS), text="compiling"):
         print(f"{list(KINDS)[number]}: {seconds:.1f} s", flush=True)
     print(f"{len(KINDS)} kinds in {time.perf_counter() - begun:.1f} s, in {jobs} processes")
     return 0

@@ -1,13 +1,20 @@
 #!/usr/bin/env bash
 # From a fresh clone to two pictures in figures/: a pile that falls, and how fast the solver converges from each start.
-# Then compiles ahead what first runs need. DEEP_CONTACT_CONSTRAINTS=constraints.txt: the versions of data/reference.
+# Beside the second picture it compiles ahead what first runs need. DEEP_CONTACT_CONSTRAINTS=constraints.txt: the versions
+# of data/reference.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/venv.sh
 ensure_venv ""
 "$PYTHON" scripts/figure_3_6_snapshots.py "$@"
+log=$(mktemp)
+"$PYTHON" -m deep_contact warm-up >"$log" 2>&1 &
+warm_up=$!
+trap 'kill $warm_up 2>/dev/null || true; rm -f "$log"' EXIT
 "$PYTHON" scripts/figure_5_7_starts.py --quick "$@"
-"$PYTHON" -m deep_contact warm-up
+echo "Both pictures are drawn. What other scenes need is compiled in the background:"
+wait $warm_up || { cat "$log"; exit 1; }
+cat "$log"
 cat <<END
 
 Two pictures:

@@ -67,16 +67,17 @@ def test_warm_up_compiles_every_kind_and_says_how_long(monkeypatch, capsys):
     monkeypatch.setattr(parallel, "cores", lambda: 1)
     monkeypatch.setattr(dc, "simulate", lambda scene, steps, **options: done.append((scene.name, *options)))
     assert main(["warm-up"]) == 0
-    assert len({*done}) == 3  # two presets of a pile have the same options
+    assert len({*done}) == 4  # two presets of a pile have the same options
     assert len(done) == len(command_line.KINDS)
-    *kinds, whole = capsys.readouterr().out.splitlines()
+    first, *kinds, whole = capsys.readouterr().out.splitlines()
     assert [line.partition(": ")[0] for line in kinds] == list(command_line.KINDS)
-    assert whole.startswith("4 kinds in ")
+    assert first.startswith("compiling in 1 processes")
+    assert whole.startswith("5 kinds in ")
 
 
 def test_warm_up_finds_its_function_in_the_processes_of_python_m():
     said = run_python("-m", "deep_contact", "warm-up").stdout
-    assert len(said.splitlines()) == len(command_line.KINDS) + 1
+    assert len(said.splitlines()) == len(command_line.KINDS) + 2
 
 
 # ---- figures and tables ----
