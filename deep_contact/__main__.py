@@ -314,7 +314,7 @@ KINDS = {
 """Name -> function of a scene, and options of `simulate`. Each pair needs machine code of its own, which `warm-up`
 compiles, in the order in which people need it."""
 
-MINUTES = 3.0
+MINUTES = 2.5
 """Processor time that `warm-up` takes on a common machine with nothing compiled, min."""
 
 
@@ -327,7 +327,7 @@ def _warm_up(args) -> int:
     from deep_contact.parallel import cores, finished, progress_bar
 
     begun, jobs = time.perf_counter(), min(cores(), len(KINDS))
-    print(f"compiling in {jobs} processes, in the order of need; about {MINUTES / jobs:.0f} minutes", flush=True)
+    print(f"compiling in {jobs} processes, in the order of need; about {MINUTES / jobs:.1f} min", flush=True)
     for number, seconds in progress_bar(finished(_compile, KINDS, jobs=jobs), total=len(KINDS), text="compiling"):
         print(f"{list(KINDS)[number]}: {seconds:.1f} s", flush=True)
     print(f"{len(KINDS)} kinds in {time.perf_counter() - begun:.1f} s, in {jobs} processes")

@@ -4,7 +4,9 @@ import multiprocessing
 import sys
 import time
 from functools import partial
+from pathlib import Path
 
+from llvmlite.binding import get_host_cpu_features
 from numba import config
 from numba.core import event
 from numba.core.compiler_lock import global_compiler_lock
@@ -13,14 +15,32 @@ from numba.np import linalg
 from deep_contact.compiled.boxing import safe_results
 from deep_contact.compiled.code_cache import CodeCache
 
+_NEEDED = {"x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")}
+"""Target processor -> features that a processor needs to run code for it."""
+
+
+def use_target(file: Path) -> None:
+    """Let Numba compile for the processor that a file names, in this process, if this processor can run such code.
+
+    Only wheels that bring machine code have the file (`scripts/wheel_with_code.sh`). The variable NUMBA_CPU_NAME goes
+    first. Code that Numba has compiled before in this process stays as it is.
+    """
+    if config.CPU_NAME is None and file.is_file():
+        target, features = file.read_text().strip(), get_host_cpu_features()
+        if target in _NEEDED and all(features.get(name) for name in _NEEDED[target]):
+            config.CPU_NAME, config.CPU_FEATURES = target, ""
+
+
+use_target(Path(__file__).with_name("target.txt"))
+
 PATIENCE = 0.5
 """Time, s, after which a process says that it is compiling."""
 
 ESTIMATE = "it takes a quarter of a minute to a minute; `deep-contact warm-up` does it ahead"
-"""What it says of the time."""
+"""The part of the announcement that says how long compiling takes."""
 
 PHYSICS = tuple(f"deep_contact.{folder}." for folder in ("stepping", "solvers", "starts", "analysis"))
-"""Modules whose compiling it says."""
+"""Beginnings of the names of the modules whose compilation is announced to the user."""
 
 # Numba imports scipy.linalg only to know whether it can compile `np.dot`, which takes a quarter of the time to the
 # first step. This package depends on SciPy, and Numba checks again when it compiles a call of BLAS.
