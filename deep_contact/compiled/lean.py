@@ -126,8 +126,8 @@ class LeanDispatcher(CPUDispatcher):
 
         `numba.core.typeinfer` reads this property. A recursive call refers to the function by its name in machine code,
         and the name depends on whether the function has a wrapper. Therefore, if a function calls itself, directly or
-        not, everything that is compiled with it gets wrappers, as in Numba itself: `_Recursion` ends a compilation without
-        wrappers, and `compile` begins again.
+        not, everything that is compiled with it gets wrappers, as in Numba itself: `_Recursion` ends a compilation
+        without wrappers, and `compile` begins again.
         """
         found = bool(self._compiling_counter or (self._inner and self._inner._compiling_counter))
         if found and not self._all_whole:
