@@ -54,8 +54,9 @@ from deep_contact.stepping.touch_queue import (
 from deep_contact.stepping.touches import FAST, MOST_TOUCHES, PAIRS, approach_of, slip_apart, touch_circle, touch_walls
 
 BLOCKED = 0.999
-"""Cosine of the angle between a push on a held circle and the direction to the body that holds the circle. The circle
-does not move if the cosine is at least this number."""
+"""Largest cosine of the angle between a push on a held circle and the direction to the body that holds it.
+
+With a larger cosine the circle does not move."""
 
 TOGETHER = 1e-9
 """Largest difference of the times of touches that count as simultaneous, in units of the step."""
@@ -122,8 +123,9 @@ def any_apart(velocity, radius, dt):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def middle_of(values, n):
-    """Return the middle (x, y) of the bounding box of the first n points. values: coordinates, (n or more, 2 or more),
-    m/s.
+    """Return the middle (x, y) of the bounding box of the first n points.
+
+    values: coordinates of points or components of velocities, (n or more, 2 or more). The result has their unit.
     """
     x_min = x_max = values[0, 0]
     y_min = y_max = values[0, 1]
@@ -380,10 +382,10 @@ def mobility(i, d_x, d_y, paths, result):
 
 @njit(inline="always")
 def hold_of(k, paths, actuation):
-    """Return the kind of hold of body k on a circle: `CARRIED` for a segment that moves, `FIRM` for one at rest or a
-    wall.
+    """Return how body k holds a circle: `FREE`, `CARRIED` or `FIRM`.
 
-    If k is a circle, its hold on another circle is the one by which it is itself held (`Paths.held`).
+    A moving segment holds as `CARRIED`, and a wall or a segment at rest as `FIRM`. A circle k passes on the value that
+    it has itself (`Paths.held`).
     """
     n = paths.since.shape[0]
     if k < n:

@@ -34,7 +34,7 @@ class Paths(NamedTuple):
     | held     | `FREE`, `CARRIED` or `FIRM`                                         | (n,)   | –    |
     | block    | unit vector to the body that the circle has met last, if not `FREE` | (n, 2) | –    |
     | touches  | number of times that the path has changed                           | (n,)   | –    |
-    | searches | whether to search touches with walls and segments; with circles     | (n, 2) | –    |
+    | searches | whether to search touches: with walls and segments; with circles    | (n, 2) | –    |
     """
 
     step: NamedTuple
@@ -52,9 +52,9 @@ class Paths(NamedTuple):
 
 @njit(cache=True)
 def make_paths(step, segments, start):
-    """Return the `Paths` of a step before any touch. step: `StepInput`. segments: `Segments` at the end of the step.
+    """Return the `Paths` of a step before any touch.
 
-    start: centres at the start of the step, (n, 2), m.
+    step: `StepInput`. segments: `Segments` at the end of the step. start: centres at the start of the step, (n, 2), m.
     """
     bodies, n = step.bodies, step.bodies.mass.shape[0]
     rate = moved(bodies.position, start, -1.0)
