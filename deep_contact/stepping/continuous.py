@@ -6,11 +6,11 @@ followed through the step. A path consists of straight pieces. Each piece has it
 step, m. The first rate is Δt v. Times are counted from the beginning of the step, in units of the step.
 
 A touch is the moment at which two bodies overlap by half a slop, or by a tenth of the smaller radius if that is less.
-If their distance at the start of the step is smaller than the distance at this overlap, the touch is the moment at
-which they come back to the distance at the start. Let n be the unit normal from circle a to body b, and a = (u_a − u_b)
-· n the rate of approach, with the rates u_a and u_b. A touch changes the rates:
+If two bodies overlap more than that at the start of the step, the touch is the moment at which their distance would
+become smaller than at the start. Let n be the unit normal from circle a to body b, u_a and u_b their rates, and c the
+rate at which they approach, c = (u_a − u_b) · n. A touch changes the rates:
 
-    u_a ← u_a − s n / m_a,  u_b ← u_b + s n / m_b,  s = a / (1 / m_a + 1 / m_b).
+    u_a ← u_a − s n / m_a,  u_b ← u_b + s n / m_b,  s = c / (1 / m_a + 1 / m_b).
 
 As in a plastic impact, both circles go on with their common rate along n, and each keeps its own rate along the
 tangent. If the tangential motion would take them apart before the end of the step, around each other or around the end
@@ -76,7 +76,7 @@ class Touches(NamedTuple):
     yielding: np.ndarray  # (2, 8 n, 2, 3): for each direction, `mobility` of i against it and of k along it
     shares: np.ndarray  # (n,): number of touches among which each circle shares its mass
     popped: np.ndarray  # (8 n,): indices of the circles whose touches were taken from the queue
-    changed: np.ndarray  # (9 n,): indices of circles whose paths change; then of those without a next touch
+    changed: np.ndarray  # (9 n,): indices of circles whose paths change; then of circles that need a new search
 
 
 @njit(cache=True)
@@ -212,7 +212,8 @@ def next_touches(paths, queue, together):
 def find_touch(i, now, paths, swept, queue, actuation):
     """Replace the touches of circle i in the queue by its first touches from time `now` on, in place.
 
-    Simultaneous touches are all queued. actuation: `Actuation` of the step, or None.
+    Of several simultaneous touches, at most `touch_queue.MOST_TOGETHER` are queued. actuation: `Actuation` of the step,
+    or None.
     """
     clear_touches(queue, i)
     first = np.inf
@@ -403,9 +404,11 @@ def keep_energy(way, j, impulse, together, paths, actuation, shifts):
     The corrected velocity is that of the heavier circle, of those that the touch can move, along one direction. The
     velocities contain the effect of gravity and external forces in a whole step. A touch changes how far the circles
     move along these forces, and so their potential energy. Without the correction the total energy would change.
-    Velocities are those of half a step before the positions. way: index of the direction, `NORMAL` or `SLIP`. impulse:
-    impulse on the rates along this direction, times the rest of the step, kg m. The change of momentum is added to
-    shifts, (n, 2), N·s, if the log stores them.
+    Velocities are those of half a step before the positions.
+
+    way: index of the direction, `NORMAL` or `SLIP`. impulse: s in the formula of the module, times the part of the step
+    that is left, kg m. shifts: `StepLog.shifts`, (n, 2), N·s, to which the change of momentum is added if the log
+    stores it.
     """
     i, k = together.first[j], together.second[j]
     direction, yielding = together.direction[way, j], together.yielding[way, j]

@@ -8,8 +8,9 @@ impulse P_i = L p_i along its normal, with
     p_i = x_i / (1 / (σ_ai m_a) + 1 / (σ_bi m_b)),  σ_ai = x_i / Σ x_j over the contacts j of the cluster at circle a,
     L = (1 + e) Σ p_i x_i / Σ p_i (n_i · u),  u = M⁻¹ Σ p_i n_i.
 
-L has one value for each cluster. For a cluster of a single contact this is Newton's law, v_n⁺ = −e v_n⁻. Rounds follow
-one another until no contact approaches any more, or until there are too many rebounds (`MOST_STRIKES`).
+The factor L has one value for each cluster. In a cluster of a single contact, the impulse gives Newton's law,
+v_n⁺ = −e v_n⁻. Rounds follow one another until no contact approaches any more, or until there are too many rebounds
+(`MOST_STRIKES`).
 
 No impulse depends on the order of contacts or circles. A contact that hardly approaches changes no impulse by much.
 Momentum is conserved. The energy of a cluster changes by −½ (1 − e²) (Σ p_i x_i)² / Σ p_i (n_i · u). This change is 0
@@ -270,8 +271,9 @@ def inverse_mass(bodies, i):
 def contacts_of_circles(contacts, n):
     """Return (head, following): a linked list of the contacts of each circle.
 
-    An element of a list is 2 i + side: contact i, with the circle as its first (0) or second (1) body. −1 ends a list.
-    head: first element of the list of each circle, (n,). following: the element after each element, (2 m,).
+    An element of a list is the number 2 i + side. It stands for contact i, with the circle as its first body (side 0)
+    or second body (side 1). A −1 ends a list. head: first element of the list of each circle, (n,). following: the
+    element that follows each element, (2 m,).
     """
     m = contacts.body_a.shape[0]
     head, following = np.full(n, -1), np.empty(2 * m, np.int64)

@@ -1,9 +1,9 @@
 """Measure errors of the solution of a step, and compute the quantities that the errors need.
 
-θ is not an error: with a slowly converging method it is small even far from the solution. Two errors are defined.
-`residual` measures how far a solution is from solving the contact problem. `velocity_error` compares a solution with an
-exact solution, which `analysis.exact` finds. Impulses are not compared, because with friction many different impulses
-give a pile the same velocities.
+The largest change of an impulse in a sweep, θ, is not an error: with a slowly converging method it is small even far
+from the solution. Two errors are defined. `residual` measures how far a solution is from solving the contact problem.
+`velocity_error` compares a solution with an exact solution, which `analysis.exact` finds. Impulses are not compared,
+because with friction many different impulses give a pile the same velocities.
 """
 
 from __future__ import annotations

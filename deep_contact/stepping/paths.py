@@ -34,7 +34,7 @@ class Paths(NamedTuple):
     | held     | `FREE`, `CARRIED` or `FIRM`                                         | (n,)   | –    |
     | block    | unit vector to the body that the circle has met last, if not `FREE` | (n, 2) | –    |
     | touches  | number of times that the path has changed                           | (n,)   | –    |
-    | searches | whether to search touches: with walls and segments; with circles    | (n, 2) | –    |
+    | searches | whether to search touches with walls and segments; with circles     | (n, 2) | –    |
     """
 
     step: NamedTuple

@@ -1,7 +1,6 @@
 """Build and solve the contact problem of one step on its own, without doing the step.
 
-Starts, exact solutions and errors of solutions are computed from this problem. n is the number of circles, and m the
-number of contacts.
+Starts, exact solutions and errors of solutions are computed from this problem. A state has n circles and m contacts.
 
 Tests: tests/solvers/test_solvers.py
 """
@@ -162,8 +161,8 @@ def solve(
     """Solve the contact problem of a state from starting impulses, without changing the state.
 
     If e > 0, impacts come first. The velocities of the solution include their effect, but its impulses do not include
-    theirs. solver: options of the solver. normal_start, tangent_start: starting λ_n and λ_t, (m,) each, N·s. problem:
-    `step_problem(state)` if it has been built already; it is not changed.
+    those of the impacts. solver: options of the solver. normal_start, tangent_start: starting λ_n and λ_t, (m,) each,
+    N·s. problem: `step_problem(state)` if it has been built already; it is not changed.
     """
     solver = solver.for_state(state)
     settings, n = entry_of(solver).settings(solver), state.bodies.count

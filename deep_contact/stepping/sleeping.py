@@ -2,9 +2,9 @@
 
 An island is a group of circles that touch each other, directly or through other circles. A circle is still while its
 speed and spin are at most `sleep_speed` and `sleep_spin` of the `ContactScales`. An island falls asleep once all of its
-circles have been still for `sleep_time` and do not accelerate. In addition, none of its contacts may need position
-correction, and none may be with a moving segment or with a segment whose surface moves. The velocities of the island's
-circles then become 0, and its contacts keep their impulses until it wakes.
+circles have been still for `sleep_time` and do not accelerate. An island stays awake
+if one of its contacts needs position correction, or if it touches a moving segment or a segment whose surface moves.
+When an island falls asleep, the velocities of its circles become 0. Its contacts keep their impulses until it wakes.
 
 An island wakes as a whole when a circle that is awake or a moving segment touches it, or when the external force on one
 of its circles changes. Contacts are searched among all circles, unless all circles sleep. A new run starts with all
@@ -109,7 +109,8 @@ def wake_pushed(contacts, sleep, step):
 def awake_contacts(contacts, sleep):
     """Return the contacts of circles that are awake, with those fields that a step reads.
 
-    They lie in `SleepMemory.active`, or in a larger buffer. If `sleep` is None, the contacts themselves are returned.
+    The result lies in `SleepMemory.active`, or in a larger buffer. If `sleep` is None, the contacts themselves are
+    returned.
     """
     if sleep is None:
         return contacts

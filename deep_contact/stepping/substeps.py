@@ -3,7 +3,7 @@
 A step has as many equal substeps as the solver asks for, each of duration Δt. Motion divides such a substep if a circle
 is about to hit something in it. Let v be the fastest approach that closes a gap within Δt. The substep is then divided
 into the least power of two k for which v Δt / k ≤ reach (`Motion.reach`, m). A circle that hits something therefore
-penetrates by no more than the reach before a contact stops it. v Δt / reach is a Courant number of motion.
+penetrates by no more than the reach before a contact stops it. The ratio v Δt / reach is a Courant number of motion.
 
 The division depends only on positions, velocities and Δt. A run that is continued from a file is therefore the same bit
 for bit. To divide by a power of two changes impulses without rounding. Weakness: the fastest pair decides for the whole
@@ -142,7 +142,7 @@ def fastest_pair(step, cells, gap, fastest):
 
     The result is at least `fastest`, m/s. gap: largest gap of two circles that can meet within Δt, m. Pairs are taken
     from the list of near pairs, if the list has all pairs up to this gap or if it pays to make such a list. Otherwise
-    they are searched in cells. step: `StepInput`. cells: `Cells`.
+    the pairs are searched in cells. step: `StepInput`. cells: `Cells`.
     """
     position, radius = step.bodies.position, step.bodies.radius
     if refresh_list(position, radius, cells, gap):

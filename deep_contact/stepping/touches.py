@@ -1,8 +1,9 @@
 """Compute the times at which the path of a circle touches a wall, a segment or the path of another circle.
 
-A touch is the moment at which a moving circle first overlaps another body by `touching_overlap`. Times are counted from
-the beginning of the step, in units of the step. A rate is a displacement in a whole step, m. A circle is called held if
-it has met a wall, a segment or a fixed circle in the step (`Paths.held`).
+A touch is the moment at which a moving circle overlaps another body by `touching_overlap`. If the two overlapped more
+at the start of the step, it is the moment at which their distance would become smaller than at the start. Times are
+counted from the beginning of the step, in units of the step. A rate is a displacement in a whole step, m. A circle is
+called held if it has met a wall, a segment or a fixed circle in the step (`Paths.held`).
 
 Tests: tests/stepping/test_continuous.py
 """
@@ -27,7 +28,7 @@ PAIRS = 0.5
 """Two circles touch only if they approach each other, in a step, by more than this share of the smaller radius."""
 
 HELD = 0.01
-"""This share replaces `PAIRS` if one of the two circles is held, and for touches with walls and segments."""
+"""Share that replaces `PAIRS` if one of the two circles is held, and for touches with walls and segments."""
 
 MOST_TOUCHES = 200
 """Largest number of touches of a circle in a step. Later approaches are left to the contacts of the next step."""
