@@ -1,9 +1,12 @@
-"""Let compiled code hand its results over without running Python.
+"""Make compiled code hand its results over without running Python code.
 
-Numba turns a result into Python objects by code that calls Python, where a Ctrl-C that came while the compiled code
-ran is raised, and looks at no error: the process ends with a segmentation fault. Here the classes are constants that C
-reads, and Ctrl-C is raised behind the call. This replaces details of `numba.core.pythonapi` while a function of this
-package is compiled.
+Numba turns a result into Python objects by machine code that calls Python. If Ctrl-C was pressed while the compiled
+function ran, Python raises KeyboardInterrupt in this call. Numba does not check whether the call raised an error, so
+that the process ends with a segmentation fault. With `safe_results` the classes of the result are constants, which
+machine code reads without running Python code. KeyboardInterrupt is then raised after the call of the compiled
+function. To achieve this, details of `numba.core.pythonapi` are replaced while a function of this package is compiled.
+
+Tests: tests/behaviour/test_interrupts.py
 """
 
 from __future__ import annotations
@@ -24,7 +27,10 @@ _NAMED = (types.NamedTuple, types.NamedUniTuple)
 
 @contextmanager
 def safe_results():
-    """Make the results of functions that are compiled within safe. To be used under Numba's compiler lock."""
+    """Make functions that are compiled in this context return their results without running Python code.
+
+    The caller has to have Numba's compiler lock.
+    """
     before = PythonAPI.from_native_value, [_boxers.functions[kind] for kind in _NAMED]
     PythonAPI.from_native_value = _from_native_value
     _boxers.functions.update(dict.fromkeys(_NAMED, _box_named_tuple))
@@ -54,7 +60,7 @@ def _from_native_value(self, typ, val, env_manager=None):
 
 def _box_named_tuple(typ, val, c):
     if not (typ.instance_class.__new__.__doc__ or "").startswith("Create new instance of"):
-        return box_namedtuple(typ, val, c)  # a class that makes its instances itself
+        return box_namedtuple(typ, val, c)  # the class has a `__new__` of its own
     parts = [c.pyapi.unserialize(c.pyapi.serialize_object(one)) for one in (_new_tuple, typ.instance_class)]
     parts.append(box_tuple(typ, val, c))
     made = c.pyapi.call_function_objargs(parts[0], parts[1:])

@@ -1,11 +1,15 @@
-"""A cache of Numba's machine code that stays true to the sources, whole, and usable on other machines.
+"""Cache Numba's machine code in files, and compile it again if it is out of date or damaged.
 
-Numba compiles a function again when its own file has changed, but not when something has changed that was compiled into
-it from another file. Here cached code is stale once any file of this package has changed that its file imports,
-directly or not. Cached bytes carry a checksum: damaged ones, which would end the process, are compiled again. Code for
-classes of other packages is not kept, since it would outlive a change of them. Code is read beside the sources, even
-where nothing can be written there, and written to the first folder that takes it. Processes that need the same function
-for the same types at the same time compile it once.
+Numba compiles a function again if its own file has changed. It does not do so if another file has changed, from which
+code was compiled into the function. Here the cached code of a function is out of date as soon as any file of this
+package has changed that the function's file imports, directly or through other files.
+
+Each cached file ends with a checksum. Damaged code would crash the process, so it is compiled again. Code for classes
+of other packages is not cached, because the cache would not notice a change of these classes.
+
+Cached code is read from the folder beside the sources, even if that folder is read-only. It is written to the first
+folder that can be written. If several processes need the same function for the same types at the same time, one of them
+compiles it, and the others wait. Other machines can use the files, too.
 """
 
 from __future__ import annotations
@@ -36,19 +40,20 @@ except ImportError:  # Windows
     fcntl = None
 
 MOST_WAIT = 120.0
-"""How long a process waits for another one that compiles the same function, s."""
+"""Longest time that a process waits for another process that compiles the same function, s."""
 
 _ROOT = Path(__file__).resolve().parents[2]
 _IMPORT = re.compile(rb"^(?:from (deep_contact[\w.]*) import (\([^)]*\)|.*)|import (deep_contact[\w.]*))", re.MULTILINE)
 _KNOWN = {"builtins", "copyreg", "deep_contact", "numba", "numpy"}
-"""Compiled code is kept only if the types of all its arguments come from these packages."""
+"""Names of packages. Compiled code is cached only if the types of all its arguments come from them."""
 
 
 class CodeCache(caching.NullCache):
-    """The compiled versions of a function, in files that `numba.core.caching` reads and writes.
+    """The cached compiled versions of a function, in files that `numba.core.caching` reads and writes.
 
-    on_wait: called where another process has been compiling the function for a while. of_inner: whether the versions
-    are those of `LeanDispatcher.inner`, which are entries of their own: Python cannot call them.
+    function: Python function. on_wait: function without arguments, called again and again while this process waits for
+    another process that compiles the same function, from half a second on. of_inner: whether the versions are those of
+    `LeanDispatcher.inner`. Python cannot call these, so they have entries of their own.
     """
 
     def __init__(self, function, on_wait: Callable, of_inner: bool = False):
@@ -66,7 +71,10 @@ class CodeCache(caching.NullCache):
     check_cachable = caching.CompileResultCacheImpl.check_cachable
 
     def load_overload(self, signature, context):
-        """The compiled version for a signature. None where there is none: then it is this process's turn to compile."""
+        """Return the compiled version for a signature, or None if none is cached.
+
+        After None, this process is expected to compile the function. Other processes wait until it calls `end_turn`.
+        """
         context.refresh()
         key = self._index_key(signature, context.codegen()) + self._mark
         reduced = self._load(key)
@@ -78,14 +86,14 @@ class CodeCache(caching.NullCache):
         return next((data for file in self._files if (data := file.load(key)) is not None), None)
 
     def save_overload(self, signature, result) -> None:
-        """Keep the compiled version for a signature, where a folder can be written."""
+        """Write the compiled version for a signature to the first folder that can be written; warn if there is none."""
         if not (self._files and self.check_cachable(result)):
             return
         key, reduced = self._index_key(signature, result.codegen) + self._mark, result._reduce()
         for file in self._files:
             with suppress(OSError):
                 os.makedirs(file._cache_path, exist_ok=True)
-                self._writing.take()  # or two processes that add a version would lose one, or number both alike
+                self._writing.take()  # two processes that write at once could lose a version, or give both one number
                 try:
                     return file.save(key, reduced)
                 finally:
@@ -93,7 +101,7 @@ class CodeCache(caching.NullCache):
         _warn_once()
 
     def end_turn(self) -> None:
-        """Let other processes have their turn."""
+        """Let other processes compile the function."""
         self._turn.end()
 
 
@@ -101,7 +109,10 @@ _BRACKETS = str.maketrans("", "", "<>")
 
 
 def _folders(file: str) -> list[str]:
-    """Where the code of a source file is looked for, in this order: as Numba does, but without trying to write."""
+    """Return the folders in which the cached code of a source file is searched, in the order of the search.
+
+    They are Numba's own folders. Unlike Numba, this function does not try to write to them.
+    """
     inside = caching._CacheLocator.get_suitable_cache_subpath(file)
     if config.CACHE_DIR:
         return [os.path.join(config.CACHE_DIR, inside)]
@@ -119,16 +130,24 @@ def _warn_once() -> None:
 
 
 class _Turn:
-    """The turn of this process at a function: a lock on a byte of a file, which ends with the process at last.
+    """The exclusive right of this process to compile a function, or to write its files: a lock on one byte of a file.
 
-    on_wait: called where another process has had it for a while.
+    The operating system ends the lock at the latest when the process ends.
+
+    name: name of the function. folders: folders in which the lock file may lie; the first that can be written is used.
+    on_wait: function without arguments, called again and again while another process has the lock, from half a second
+    on.
     """
 
     def __init__(self, name: str, folders: list[str], on_wait: Callable):
         self._name, self._folders, self._on_wait, self._file, self._byte = name, folders, on_wait, None, 0
 
     def take(self, signature: str = "") -> bool:
-        """Wait for the turn at the function for a signature, at most `MOST_WAIT`. Returns whether it was taken."""
+        """Wait for the lock, at most `MOST_WAIT` seconds. Returns whether this process has the lock now.
+
+        signature: types of the arguments, as text. The name of the function and the signature determine the byte that
+        is locked.
+        """
         self._byte = zlib.crc32(f"{self._name} {signature}".encode()) >> 1
         file, begun = next((one for one in map(_lock_file, self._folders) if one is not None), None), time.monotonic()
         while file is not None and time.monotonic() - begun < MOST_WAIT:
@@ -136,7 +155,7 @@ class _Turn:
                 fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, self._byte)
                 self._file = file
                 return True
-            except (BlockingIOError, PermissionError):  # another process has it
+            except (BlockingIOError, PermissionError):  # another process has the lock
                 if time.monotonic() - begun > 0.5:
                     self._on_wait()
                 time.sleep(0.05)
@@ -152,7 +171,10 @@ class _Turn:
 
 @cache
 def _lock_file(folder: str):
-    """Descriptor of the file whose bytes are locked, or None. It stays open: closing it would end all turns."""
+    """Return the descriptor of the file whose bytes are locked, or None if locks are impossible in this folder.
+
+    The file stays open, because closing it would end all locks of this process on it.
+    """
     with suppress(OSError):
         if fcntl is not None:
             os.makedirs(folder, exist_ok=True)
@@ -161,7 +183,10 @@ def _lock_file(folder: str):
 
 @cache
 def source_stamp(file: Path, root: Path = _ROOT) -> str:
-    """Checksum of a source file and of all that it imports of `deep_contact`, which lies in the folder `root`."""
+    """Return a checksum of a source file and of all files of `deep_contact` that it imports, directly or not.
+
+    root: folder in which the folder `deep_contact` lies.
+    """
     checksums, waiting = {}, {file}
     while waiting:
         file = waiting.pop()
@@ -172,12 +197,13 @@ def source_stamp(file: Path, root: Path = _ROOT) -> str:
 
 @cache
 def _read(file: Path, root: Path) -> tuple[bytes, set[Path]]:
-    """Checksum of a file, and the files that it imports when it is loaded."""
+    """Return the checksum of a file, and the set of files of `deep_contact` that it imports at its top level."""
     text, modules = file.read_bytes(), set()
     for origin, names, module in _IMPORT.findall(text):
         modules |= {origin or module, *(origin + b"." + name for name in re.findall(rb"\w+", names))}
     places = [root / module.decode().replace(".", "/") for module in modules]
-    # The import of a module runs its packages, too: the engine gets the loops of the solvers by their package alone.
+    # The import of a module also runs the `__init__.py` of its packages. The engine imports only the package of the
+    # solvers, which in turn imports their loops.
     inside = root / "deep_contact"
     packages = {package for place in places for package in (place, *place.parents) if inside in package.parents}
     files = {place.with_suffix(".py") for place in places} | {package / "__init__.py" for package in packages}
@@ -185,7 +211,7 @@ def _read(file: Path, root: Path) -> tuple[bytes, set[Path]]:
 
 
 class _CheckedFile(caching.IndexDataCacheFile):
-    """An index of cached code and its data files, each ending in a checksum, which unpickling ignores."""
+    """Files of cached code: an index and its data files, each with a checksum at its end, which unpickling ignores."""
 
     @contextmanager
     def _open_for_write(self, path: str):
@@ -201,17 +227,17 @@ class _CheckedFile(caching.IndexDataCacheFile):
     def _load_index(self) -> dict:
         try:
             return super()._load_index() if _is_whole(self._index_path) else {}
-        except (ImportError, AttributeError):  # it names a class that has moved since
+        except (ImportError, AttributeError):  # the index names a class that no longer exists under this name
             return {}
 
     def _load_data(self, name: str):
         if not _is_whole(self._data_path(name)):
-            raise OSError(f"{name}: expected the checksum of its contents")  # which Numba takes for a missing file
+            raise OSError(f"{name}: expected the checksum of its contents")  # Numba treats it like a missing file
         return super()._load_data(name)
 
 
 def _modules_in(pickled: bytes) -> set[str]:
-    """The packages of the classes and functions that are named in pickled bytes."""
+    """Return the names of the packages to which the classes and functions in pickled bytes belong."""
     packages = set()
 
     class Reader(pickle.Unpickler):

@@ -1,15 +1,22 @@
-"""Calls of compiled functions that look at the types of their arguments once."""
+"""Call compiled functions without a check of the types of their arguments in every call.
+
+Tests: tests/run/test_simulator.py
+"""
 
 from __future__ import annotations
 
 OFTEN = 50
-"""Calls from which on it pays to look at the types, which takes as long as so many calls."""
+"""Number of calls after which the types of the arguments are determined, once. This takes as long as so many calls."""
 
 
 class Direct:
-    """A compiled function that is always called with arguments of the same types.
+    """A compiled function whose arguments have the same types in every call.
 
-    To find out the types of some eighty arrays takes Numba longer than a step of a hundred circles does.
+    Numba determines the types of the arguments in each call. For a step, with about eighty arrays, this takes longer
+    than the step of a hundred circles itself. After `OFTEN` calls, this class therefore calls the machine code
+    directly.
+
+    function: compiled function, or a plain Python function if the compiler is switched off.
     """
 
     def __init__(self, function):
@@ -20,7 +27,7 @@ class Direct:
             return self._entry(*arguments)
         result = self._function(*arguments)
         self._calls += 1
-        compiled = getattr(self._function, "overloads", None)  # none without the compiler
+        compiled = getattr(self._function, "overloads", None)  # a plain function has no such attribute
         if compiled and self._calls == OFTEN:
             self._entry = compiled[tuple(map(self._function.typeof_pyval, arguments))].entry_point
         return result

@@ -1,7 +1,7 @@
-"""Less work for Numba's compiler, which a first run waits for: no wrappers that nobody calls, no garbage collection.
+"""Reduce the work of Numba's compiler, for which a first run waits: no unused wrappers, and no garbage collection.
 
-Python calls compiled code by a wrapper, which takes nested tuples of arrays apart: a fifth of all that is compiled.
-Most functions are called by compiled code alone, and need none.
+Python calls a compiled function through a wrapper, which unpacks nested tuples of arrays. The wrappers are a fifth of
+all code that is compiled. Most functions are called only by other compiled functions, and need no wrapper.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from numba.core.runtime.context import NRTContext
 
 @contextmanager
 def uncollected():
-    """Switch Python's search for reference cycles off within the block: nearly all objects of the compiler stay.
+    """Switch off Python's search for reference cycles in this context, because the compiler leaves hardly any garbage.
 
-    The block has to hold Numba's lock. It takes up to 45 MB more memory.
+    The caller has to have Numba's compiler lock. The process needs up to 45 MB more memory.
     """
     was_enabled = gc.isenabled()
     gc.disable()
@@ -32,10 +32,10 @@ def uncollected():
 
 @contextmanager
 def counted_alone():
-    """Within the block, code that counts references to a value reads only those members whose references are counted.
+    """Make Numba, in this context, count references only to those members of a value that have a reference count.
 
-    Numba reads all members, down to the strides of every array: four fifths of the lines of a step. The block has to
-    hold Numba's lock.
+    Numba's own code reads all members of a value to count references, down to the strides of every array. This is four
+    fifths of the lines of code of a step. The caller has to have Numba's compiler lock.
     """
     before, NRTContext.get_meminfos = NRTContext.get_meminfos, _get_meminfos
     try:
@@ -45,7 +45,10 @@ def counted_alone():
 
 
 def _get_meminfos(self, builder, ty, val):
-    """The counted references in a value of this type: the list of (type, pointer) that Numba's own method returns."""
+    """Return the reference counts in a value as a list of (type, pointer), as Numba's method of this name does.
+
+    builder: LLVM's builder. ty: Numba's type of the value. val: the value.
+    """
     model = self._context.data_model_manager[ty]
     found = [(ty, model.get_nrt_meminfo(builder, val))] if model.has_nrt_meminfo() else []
     for member, read in model.traverse(builder):
@@ -60,19 +63,20 @@ def _is_counted(model) -> bool:
 
 
 class _Recursion(Exception):
-    """A function that is being compiled without a wrapper calls itself, directly or by other functions."""
+    """A function that is being compiled without a wrapper calls itself, directly or through other functions."""
 
 
 class LeanDispatcher(CPUDispatcher):
-    """A function whose wrapper for Python is compiled when Python calls it.
+    """A compiled function. Its wrapper, through which Python calls it, is compiled only when Python calls it.
 
-    For callers in compiled code `inner` compiles it without a wrapper, unless there is a version that has one. The two
-    share `overloads`, where Numba looks for what compiled code calls. Python gets what this dispatcher has compiled, or
-    found in its cache, which then takes the place of a version without a wrapper.
+    For a compiled caller, `inner` compiles a version without a wrapper, unless a version with a wrapper exists. Both
+    dispatchers share the dictionary `overloads`, in which Numba looks for the versions that compiled code calls. If
+    Python calls the function, this dispatcher compiles a version with a wrapper, or reads it from its cache. That
+    version replaces the one without a wrapper.
     """
 
     _depth, _all_whole = 0, False
-    """Number of nested compilations, and whether all of them make wrappers. Both change under Numba's lock."""
+    """Number of nested compilations, and whether all of them make wrappers. Both change under Numba's compiler lock."""
 
     def __init__(self, *arguments, **options):
         super().__init__(*arguments, **options)
@@ -81,14 +85,14 @@ class LeanDispatcher(CPUDispatcher):
 
     @property
     def inner(self) -> LeanDispatcher:
-        """The dispatcher that compiles the function for compiled callers. Python never calls it."""
+        """The dispatcher that compiles the function for compiled callers, without a wrapper. Python never calls it."""
         if self._inner is None:
             self._inner = self.make_inner(self.targetoptions | {"no_cpython_wrapper": True})
             self._inner.overloads, self._inner._outer = self.overloads, self
         return self._inner
 
     def make_inner(self, options: dict) -> LeanDispatcher:
-        """A dispatcher of the same function, with these options of Numba."""
+        """Return a dispatcher of the same function. options: options of Numba, name -> value."""
         return type(self)(self.py_func, targetoptions=options)
 
     def get_call_template(self, args, kws):
@@ -101,7 +105,7 @@ class LeanDispatcher(CPUDispatcher):
     def compile(self, signature):
         types = tuple(sigutils.normalize_signature(signature)[0])
         if self._outer is None and types in self.overloads and types not in self._whole:
-            self._replaced.append(self.overloads.pop(types))  # its callers refer to its constants
+            self._replaced.append(self.overloads.pop(types))  # stays alive, since its callers refer to its constants
         LeanDispatcher._depth += 1
         try:
             return super().compile(signature)
@@ -118,10 +122,12 @@ class LeanDispatcher(CPUDispatcher):
 
     @property
     def is_compiling(self):
-        """Whether a call of this function in the code that is compiled now is a recursion: `numba.core.typeinfer` asks.
+        """Whether this function is being compiled: then a call of it, in the code that is compiled now, is a recursion.
 
-        Such a call is by name, and Numba's names tell whether a function has a wrapper. So where a function calls
-        itself, directly or not, all that is compiled with it has wrappers, as Numba does it.
+        `numba.core.typeinfer` reads this property. A recursive call refers to the function by its name in machine code,
+        and the name depends on whether the function has a wrapper. Therefore, if a function calls itself, directly or
+        not, everything that is compiled with it gets wrappers, as in Numba itself: `_Recursion` ends a compilation
+        without wrappers, and `compile` begins again.
         """
         found = bool(self._compiling_counter or (self._inner and self._inner._compiling_counter))
         if found and not self._all_whole:

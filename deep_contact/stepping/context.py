@@ -1,4 +1,9 @@
-"""Input, memory and log of steps: the arguments of `algorithm.advance`, and of the functions that replace it."""
+"""Define the input, the memory and the context of steps: the arguments of `algorithm.advance`.
+
+Solvers with a step of their own replace `algorithm.advance` by a function with the same arguments.
+
+Tests: tests/behaviour/test_scene_requirements.py
+"""
 
 from __future__ import annotations
 
@@ -18,44 +23,54 @@ from deep_contact.stepping.segment_grid import NO_SEGMENTS, Segments, moved_segm
 
 
 class Motion(NamedTuple):
-    """Parameters of the division of substeps by motion (`substeps`)."""
+    """Parameters of the division of a solver's substep into equal parts, if circles are about to collide."""
 
     most: int  # largest number of parts of a solver's substep, a power of two; 1: no division
-    reach: float  # largest displacement in a part of a circle that is about to hit something, m
+    reach: float  # largest displacement, in one part, of a circle that is about to hit something, m
 
 
 class Actuation(NamedTuple):
-    """Kinematics and external force in scenes with moving segments, fixed circles or pushes."""
+    """Velocities of segments, and external forces on circles.
 
-    wall: np.ndarray  # (S, 4): velocities of the ends of the segments, m/s
+    Only scenes with moving segments, fixed circles or external forces have an actuation.
+    """
+
+    wall: np.ndarray  # (S, 4): velocities (v_x, v_y, v_x, v_y) of the two ends of each of S segments, m/s
     moving: np.ndarray  # (k,): indices of the moving segments
-    force: np.ndarray  # (n, 2): external force on each circle beside gravity, N
+    force: np.ndarray  # (n, 2): external force on each circle, without gravity, N
     torque: np.ndarray  # (n,): external torque on each circle, N·m
 
 
 class StepInput(NamedTuple):
-    """Input of steps. The code for a field that is None is not compiled, since None is a type of its own.
+    """Input of steps.
 
-    segments, restitution and motion are None if the scene needs none of the three (`with_optional`); with actuation
-    none of them is None. Contacts carry the impulses of a whole step, into however many substeps it is divided; the
-    solve of a substep starts from these impulses divided by the number of substeps.
+    Numba compiles no code for a field that is None, because None has a type of its own. segments, restitution and
+    motion are None if the scene needs none of the three; otherwise none of them is None (`with_optional`). If actuation
+    is not None, they are not None either.
+
+    Contacts store the impulses of a whole step, however many substeps it has. The solve of a substep starts from these
+    impulses divided by the number of substeps.
     """
 
-    bodies: Bodies  # moved in place
-    box: tuple  # of the `World`, as gravity, friction and restitution
+    bodies: Bodies  # the steps move them in place
+    box: tuple  # (x_min, y_min, x_max, y_max), m
     segments: Segments | None
-    gravity: tuple
-    friction: float | None  # None, in place of 0, leaves the tangent rows out
-    restitution: float | None
+    gravity: tuple  # (g_x, g_y), m/s²
+    friction: float | None  # μ; None in place of 0 leaves the tangent rows out
+    restitution: float | None  # e
     dt: float  # Δt of a substep, s
-    substeps: int  # number of substeps of a step: that of the solver, times the factor of motion
-    scales: ContactScales  # of the state that the steps begin with
+    substeps: int  # number of substeps of a step: the solver's number times the number of parts by motion
+    scales: ContactScales  # scales of the state from which the steps start
     motion: Motion | None = None
-    actuation: Actuation | None = None  # lines of segments that it moves are copies for these steps, and move in place
+    actuation: Actuation | None = None  # if it moves segments, `segments.line` is a copy, which moves in place
 
 
 def with_optional(step: StepInput) -> StepInput:
-    """The input with all optional features: segments, restitution, division by motion and continuous collision."""
+    """Return the input in the form that makes Numba compile all optional features.
+
+    These are segments, restitution, division by motion and continuous collision. A feature that the scene does not need
+    gets a value without effect in place of None.
+    """
     return step._replace(
         segments=NO_SEGMENTS if step.segments is None else step.segments,
         restitution=0.0 if step.restitution is None else step.restitution,
@@ -64,24 +79,24 @@ def with_optional(step: StepInput) -> StepInput:
 
 
 class StepOptions(NamedTuple):
-    """Options of the solver and of the start of each step."""
+    """Options of the solver, and of the start of each step."""
 
-    settings: NamedTuple  # of the solver (`stepping.interface`); their type picks the loop
+    settings: NamedTuple  # settings of the solver (`stepping.interface`); their type selects its loop of sweeps
     position_sweeps: int  # largest number of sweeps of position correction
-    carry: bool  # start the steps after the first from the impulses of the step before; otherwise from zero
+    carry: bool  # whether steps after the first start from the impulses of the step before; otherwise they start from 0
 
 
 class StepMemory(NamedTuple):
-    """Work arrays of the steps. Their content before a call changes no bit of the result."""
+    """Work arrays of steps for n circles. Their content before a call changes no bit of the result."""
 
-    solver_bodies: np.ndarray  # (n + 4, 4); each step fills them (`motion.integrate_velocities`)
-    theta: np.ndarray  # buffer for the θ of one step's sweeps; its length is the largest number of sweeps
+    solver_bodies: np.ndarray  # (n + 4, 4): velocities and inverse masses of circles and walls (`rows.V_X`)
+    theta: np.ndarray  # (largest number of sweeps,): θ of each sweep of a solve, N·s
     rows: Rows
     correction: CorrectionWorkspace
     cells: Cells
-    contacts: tuple[Contacts, Contacts]  # two buffers, which the steps fill in turn
-    workspace: object = None  # of the solver (`interface.make_workspace`)
-    is_built: bool = False  # whether solver bodies and rows of the only step are filled already (`problem.StepProblem`)
+    contacts: tuple[Contacts, Contacts]  # two buffers, which the substeps fill in turn
+    workspace: object = None  # work arrays of the solver (`interface.make_workspace`)
+    is_built: bool = False  # whether solver bodies and rows of a single step are filled already (`problem`)
 
 
 class _StepContextType(StructureType):
@@ -89,18 +104,18 @@ class _StepContextType(StructureType):
 
 
 class StepContext(Structure):
-    """What the phases of a step read, and the fields that they replace in place.
+    """What the phases of a step read, and what they replace in place. A substep is one of the equal parts of a step.
 
-    | field         | meaning                                                                         | changes |
-    |---------------|---------------------------------------------------------------------------------|---------|
-    | step          | `StepInput` of the solver's substep                                             | no      |
-    | options       | `StepOptions`                                                                   | no      |
-    | memory        | `StepMemory`                                                                    | no      |
-    | substep       | `StepInput` of the next substep: divided by motion, with its segments in place  | yes     |
-    | contacts      | `Contacts` at the positions of the circles                                      | yes     |
-    | pair_impulses | see `StepLog.pair_impulses`                                                     | yes     |
-    | row           | row of the log in which the step is logged                                      | yes     |
-    | buffer        | index of the buffer of `StepMemory.contacts` that holds the contacts, 0 or 1    | yes     |
+    | field         | meaning                                                                            | changes |
+    |---------------|------------------------------------------------------------------------------------|---------|
+    | step          | `StepInput` of a substep of the solver                                             | no      |
+    | options       | `StepOptions`                                                                      | no      |
+    | memory        | `StepMemory`                                                                       | no      |
+    | substep       | `StepInput` of the next substep, after division by motion, with moved segments     | yes     |
+    | contacts      | `Contacts` at the present positions of the circles                                 | yes     |
+    | pair_impulses | array described in `StepLog.pair_impulses`                                         | yes     |
+    | row           | index of the step in the arrays of the `StepLog`                                   | yes     |
+    | buffer        | index of the array in `StepMemory.contacts` in which the contacts lie, 0 or 1      | yes     |
     """
 
 
@@ -110,13 +125,16 @@ define(StepContext, _StepContextType, _FIELDS)
 
 @njit(cache=True)
 def make_context(step, options, memory, contacts, log):
-    """The `StepContext` of steps that start from these contacts. log: `StepLog`."""
+    """Return the `StepContext` of steps that start from these `Contacts`. log: `StepLog`."""
     return StepContext(step, options, memory, step, contacts, log.pair_impulses, 0, 0)
 
 
 @njit(inline="always")
 def begin_steps(context, contacts, log, actuation):
-    """Prepare a context, in place, for steps that start from these contacts."""
+    """Prepare a context, in place, for steps that start from these contacts.
+
+    log: `StepLog`. actuation: `Actuation` of the steps, or None.
+    """
     context.contacts, context.pair_impulses, context.buffer = contacts, log.pair_impulses, 0
     if actuation is not None:
         segments = moved_segments(context.step.segments, actuation, 0.0)
@@ -124,9 +142,10 @@ def begin_steps(context, contacts, log, actuation):
 
 
 def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
-    """A `StepMemory` for n circles and `capacity` contacts. A step with more contacts allocates arrays of its own.
+    """Return a `StepMemory` for n circles and `capacity` contacts.
 
-    sweeps: largest number of sweeps of a solve. friction: None for rows without tangents.
+    A step with more contacts allocates arrays of its own. sweeps: largest number of sweeps of a solve. friction: None
+    for rows without tangents.
     """
     return StepMemory(
         np.empty((n + 4, 4)), np.empty(sweeps), make_rows(capacity, friction),
@@ -136,13 +155,16 @@ def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
 
 @njit(inline="always")
 def walls_of(step):
-    """The `Walls` of a step: its box with the skin in which a contact begins."""
+    """Return the `Walls` of a step: its box, and the skin at which circles touch walls. step: `StepInput`."""
     return Walls(step.box, step.scales.wall_skin)
 
 
 @njit(cache=True, error_model="numpy")
 def substep_of(step, segments, substeps=1):
-    """The input of one of several equal substeps of a step. step: `StepInput`. segments: at the substep's start."""
+    """Return the input of one of `substeps` equal substeps of a step.
+
+    step: `StepInput` of the step. segments: `Segments` at the start of the substep.
+    """
     return StepInput(
         step.bodies, step.box, segments, step.gravity, step.friction, step.restitution, step.dt / substeps,
         step.substeps * substeps, step.scales, step.motion, step.actuation,
@@ -151,5 +173,5 @@ def substep_of(step, segments, substeps=1):
 
 @njit(cache=True)
 def place_segments(context, segments):
-    """Replace the segments of the substep, in place."""
+    """Replace the segments of `StepContext.substep`, in place. segments: the new `Segments`."""
     context.substep = substep_of(context.substep, segments)

@@ -1,28 +1,34 @@
 """Continuous collision: circles that move far in one step push on the bodies that they meet, in the order of time.
 
-Contacts are found between circles that touch at the end of a step. A circle that moves by more than its radius can pass
-through another circle, or leave the box, between the ends of two steps. The paths of fast circles are therefore
-followed through the step. A path consists of straight pieces, each with its own rate, in metres a step; the first rate
-is Δt v. A *touch* is an overlap of half a slop, or the distance at the start of the step if that is smaller. With n the
-unit normal from a to b, and a = (u_a − u_b) · n the rate at which a pair comes nearer,
+Contacts are found between circles that touch at the end of a step. Between the ends of two steps, a circle that moves
+by more than its radius can pass through another circle, or leave the box. Therefore the paths of fast circles are
+followed through the step. A path consists of straight pieces. Each piece has its own rate: the displacement in a whole
+step, m. The first rate is Δt v. Times are counted from the beginning of the step, in units of the step.
 
-    u_a ← u_a − s n / m_a,  u_b ← u_b + s n / m_b,  s = a / (1 / m_a + 1 / m_b):
+A touch is the moment at which two bodies overlap by half a slop, or by a tenth of the smaller radius if that is less.
+If two bodies overlap more than that at the start of the step, the touch is the moment at which their distance would
+become smaller than at the start. Let n be the unit normal from circle a to body b, u_a and u_b their rates, and c the
+rate at which they approach, c = (u_a − u_b) · n. A touch changes the rates:
 
-both circles go on with their common rate along n, and each keeps its own rate along the tangent, as in a plastic
-impact. If the tangents would take them apart before the end of the step, around each other or around the end of a
-segment, both go on with their common rate in all directions (`slip_apart`). Velocities stay as they were solved: the
-next step finds the contact, and solves it. The centre of mass moves as it would have without the touch, and only
-relative motions count, so that the result is the same in every inertial frame.
+    u_a ← u_a − s n / m_a,  u_b ← u_b + s n / m_b,  s = c / (1 / m_a + 1 / m_b).
 
-A wall, a segment and a fixed circle have an infinite mass. A circle that has met one of them is *held* by it: a push
-towards that body only lets the circle slide along it. If no direction is left in which to slide, the circle has an
-infinite mass, and holds the circle that pushes. A held circle is *firm* if the body that holds it rests. Of two circles
-that are held against each other, the less firm one yields nevertheless. A moving segment or fixed circle that runs into
-a firm circle passes over it.
+As in a plastic impact, both circles go on with their common rate along n, and each keeps its own rate along the
+tangent. If the tangential motion would take them apart before the end of the step, around each other or around the end
+of a segment, both go on with their common rate in all directions (`slip_apart`).
+
+Velocities stay as they were solved: the next step finds the contact, and solves it. Only if e > 0 are they corrected,
+for the energy (`keep_energy`). The centre of mass moves as it would have moved without the touch. Only relative motions
+count, so that the result is the same in every inertial frame.
+
+A wall, a segment and a fixed circle have an infinite mass. A circle that has met one of them is called held by it: a
+push towards that body only lets the circle slide along it. If no direction is left in which the circle can slide, the
+circle has an infinite mass, too, and holds the circle that pushes on it. A held circle is called firm if the body that
+holds it is at rest. If two circles are held against each other so that neither can move, the circle that is less firm
+moves nevertheless. A moving segment or fixed circle that runs into a firm circle passes over it.
 
 Slow approaches are left to the contacts (`PAIRS`, `HELD`). Simultaneous touches are handled together, and share the
-masses of their circles among them, so that no order is preferred. (Box2D 2.3 stops circles at walls and bullets,
-`b2World::SolveTOI`, which loses the rest of their step.)
+masses of their circles, so that the order of the circles does not matter. (Box2D 2.3 stops circles at walls and
+bullets, `b2World::SolveTOI`. The stopped circles lose the rest of their step.)
 """
 
 from __future__ import annotations
@@ -48,32 +54,34 @@ from deep_contact.stepping.touch_queue import (
 from deep_contact.stepping.touches import FAST, MOST_TOUCHES, PAIRS, approach_of, slip_apart, touch_circle, touch_walls
 
 BLOCKED = 0.999
-"""Cosine of the angle between a push and the direction to the holding body, from which on the circle does not yield."""
+"""Largest cosine of the angle between a push on a held circle and the direction to the body that holds it.
+
+With a larger cosine the circle does not move."""
 
 TOGETHER = 1e-9
-"""Largest difference of the times of simultaneous touches, in steps."""
+"""Largest difference of the times of touches that count as simultaneous, in units of the step."""
 
 
 NORMAL, SLIP = range(2)
-"""Directions of a touch: the normal, and that of the slip (`slip_apart`)."""
+"""Indices of the two directions of a touch: its normal, and the direction of the slip (`slip_apart`)."""
 
 
 class Touches(NamedTuple):
-    """Simultaneous touches of a circle i with a body k, at most 8 n for n circles."""
+    """Simultaneous touches, each of a circle i with a body k. Their number is at most 8 n for n circles."""
 
-    first: np.ndarray  # (8 n,): circle i
-    second: np.ndarray  # (8 n,): body k, in the numbering of `Contacts.body_b`
-    direction: np.ndarray  # (2, 8 n, 2): unit vectors, `NORMAL` from i to k, and `SLIP` of i along k
-    rate: np.ndarray  # (2, 8 n): rates of i relative to k in these directions, m a step
-    yielding: np.ndarray  # (2, 8 n, 2, 3): `mobility` of i against each direction, and of k along it
-    shares: np.ndarray  # (n,): number of touches among which a circle shares its mass
-    popped: np.ndarray  # (8 n,): circles whose touches are out of the queue
-    changed: np.ndarray  # (9 n,): circles whose paths change, then circles that have to be searched nevertheless
+    first: np.ndarray  # (8 n,): index of circle i
+    second: np.ndarray  # (8 n,): index of body k, as in `Contacts.body_b`
+    direction: np.ndarray  # (2, 8 n, 2): unit vectors: `NORMAL` from i to k, and `SLIP`, in which i slips along k
+    rate: np.ndarray  # (2, 8 n): rates of i relative to k in these two directions, m per step
+    yielding: np.ndarray  # (2, 8 n, 2, 3): for each direction, `mobility` of i against it and of k along it
+    shares: np.ndarray  # (n,): number of touches among which each circle shares its mass
+    popped: np.ndarray  # (8 n,): indices of the circles whose touches were taken from the queue
+    changed: np.ndarray  # (9 n,): indices of circles whose paths change; then of circles that need a new search
 
 
 @njit(cache=True)
 def make_touches(n):
-    """`Touches` of n circles, not filled."""
+    """Return `Touches` for n circles, uninitialised."""
     body, changed, shares = np.empty((3, 8 * n), np.int64), np.empty(9 * n, np.int64), np.empty(n)
     direction, rate, yielding = np.empty((2, 8 * n, 2)), np.empty((2, 8 * n)), np.empty((2, 8 * n, 2, 3))
     return Touches(body[0], body[1], direction, rate, yielding, shares, body[2], changed)
@@ -81,14 +89,17 @@ def make_touches(n):
 
 @njit(cache=True, error_model="numpy")
 def any_fast(solver_bodies, radius, dt):
-    """Whether a circle is fast with these velocities, relative to bodies at rest or to the other circles."""
+    """Return whether any circle is fast relative to bodies at rest (`FAST`), or to other circles (`any_apart`).
+
+    solver_bodies: (N, 4), with the velocities of n circles in its first two columns, m/s. radius: (n,), m. dt: Δt, s.
+    """
     n, far = radius.shape[0], False
     least = 0.5 * PAIRS * smallest_of(radius) / dt
     for i in range(n):
         v_x, v_y = solver_bodies[i, 0], solver_bodies[i, 1]
         far |= v_x * v_x + v_y * v_y > least * least
     if not far:
-        return False  # then no two circles approach by more than twice `least`
+        return False  # no two circles approach each other faster than twice `least`
     for i in range(n):
         v_x, v_y = solver_bodies[i, 0], solver_bodies[i, 1]
         if v_x * v_x + v_y * v_y > (FAST * radius[i] / dt) ** 2:
@@ -98,7 +109,11 @@ def any_fast(solver_bodies, radius, dt):
 
 @njit(cache=True, error_model="numpy")
 def any_apart(velocity, radius, dt):
-    """Whether velocities, (n, 2 or more), differ so much from their middle that two circles can touch (`PAIRS`)."""
+    """Return whether two circles may approach each other fast enough for a touch (`PAIRS`).
+
+    They may if any velocity differs enough from the middle of all velocities. velocity: (n, 2 or more), m/s. radius:
+    (n,), m. dt: Δt, s.
+    """
     x, y = middle_of(velocity, radius.shape[0])
     apart = False
     for i in range(radius.shape[0]):
@@ -108,7 +123,10 @@ def any_apart(velocity, radius, dt):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def middle_of(values, n):
-    """The middle of the bounding box of the first n points, (n, 2 or more)."""
+    """Return the middle (x, y) of the bounding box of the first n points.
+
+    values: coordinates of points or components of velocities, (n or more, 2 or more). The result has their unit.
+    """
     x_min = x_max = values[0, 0]
     y_min = y_max = values[0, 1]
     for i in range(n):
@@ -119,14 +137,15 @@ def middle_of(values, n):
 
 @njit(cache=True, error_model="numpy")
 def collide_fast(step, start, segments, actuation, shifts):
-    """Let fast circles push on what they meet within a step, in place on positions, and on velocities if e > 0.
+    """Let fast circles push on the bodies that they meet within a step, in place.
 
-    step: `StepInput`, whose bodies have moved by Δt v. start: centres before this motion, (n, 2), m. segments: after
-    their motion. actuation: `Actuation` of the step, or None. shifts: see `StepLog.shifts`.
+    Positions change, and at e > 0 velocities, too. step: `StepInput`, whose bodies have moved by Δt v. start: centres
+    before this motion, (n, 2), m. segments: `Segments` after their motion. actuation: `Actuation` of the step, or None.
+    shifts: `StepLog.shifts`.
     """
     paths, n = make_paths(step, segments, start), step.bodies.mass.shape[0]
     if not math.isfinite(sum_of(start) + sum_of(paths.rate)):
-        return  # the run raises an error
+        return  # the run raises an error later
     choose_fast(paths, actuation)
     if not paths.searches.any():
         return
@@ -138,10 +157,11 @@ def collide_fast(step, start, segments, actuation, shifts):
 
 @njit(cache=True, error_model="numpy", _nrt=False)
 def follow_touches(paths, swept, queue, together, actuation, shifts):
-    """Change the paths at all touches of a step, in the order of time, in place.
+    """Change the paths of circles at all touches of a step, in the order of time, in place.
 
-    swept: `Swept`. queue: `TouchQueue`. together: `Touches`. Arrays are borrowed from the caller (`_nrt`): this
-    function and those that it calls allocate none, and count no references.
+    paths: `Paths`. swept: `Swept`. queue: `TouchQueue`. together: `Touches`. actuation: `Actuation` of the step, or
+    None. shifts: `StepLog.shifts`. This function and those that it calls allocate no arrays. With `_nrt=False`, Numba
+    therefore counts no references to arrays.
     """
     number, time, changed, shares = 0, 0.0, together.changed, together.shares
     for i in range(shares.shape[0]):
@@ -159,7 +179,7 @@ def follow_touches(paths, swept, queue, together, actuation, shifts):
         time = next_time(queue)
         count, popped = next_touches(paths, queue, together)
         number = share_momentum(count, time, together, paths, actuation, shifts)
-        # A circle whose partner has changed its path before, or that a touch does not change, has to find its next one.
+        # A circle needs a new search, although its path stays the same, if its touch was dropped or did not change it.
         for i in together.popped[:popped]:
             if queue.count[i] == 0 and shares[i] == 0.0:
                 changed[number] = i
@@ -168,9 +188,10 @@ def follow_touches(paths, swept, queue, together, actuation, shifts):
 
 @njit(inline="always")
 def next_touches(paths, queue, together):
-    """Take the first touches of all, which are simultaneous, out of the queue and into `Touches`, in place.
+    """Move the earliest touches, which are simultaneous, from the queue into `Touches`, in place.
 
-    Returns their number and that of `Touches.popped`.
+    A touch is dropped if the path of its partner has changed since the touch was found. Returns the number of touches
+    that were moved, and the number of circles in `Touches.popped`.
     """
     n, count, popped, shares = paths.since.shape[0], 0, 0, together.shares
     last = min(next_time(queue) + TOGETHER, 1.0)
@@ -189,7 +210,11 @@ def next_touches(paths, queue, together):
 
 @njit(inline="always")
 def find_touch(i, now, paths, swept, queue, actuation):
-    """Replace the touches of circle i in the queue by its first touches from time `now` on, in place."""
+    """Replace the touches of circle i in the queue by its first touches from time `now` on, in place.
+
+    Of several simultaneous touches, at most `touch_queue.MOST_TOGETHER` are queued. actuation: `Actuation` of the step,
+    or None.
+    """
     clear_touches(queue, i)
     first = np.inf
     if paths.touches[i] < MOST_TOUCHES:
@@ -211,9 +236,11 @@ def find_touch(i, now, paths, swept, queue, actuation):
 
 @njit(cache=True, error_model="numpy")
 def choose_fast(paths, actuation):
-    """Mark the fast circles in `Paths.searches`, in place: they search walls and segments, and other circles.
+    """Mark the fast circles in `Paths.searches`, in place, and mark fixed circles as moving or at rest in `Paths.held`.
 
-    A circle is fast relative to walls and to moving segments near it, or relative to the mean motion of all circles.
+    A circle searches walls and segments if it is fast relative to bodies at rest, or relative to a moving segment near
+    it. It searches other circles if it is fast relative to the mean motion of all circles. actuation: `Actuation` of
+    the step, or None.
     """
     rate, radius, searches = paths.rate, paths.step.bodies.radius, paths.searches
     n = radius.shape[0]
@@ -234,7 +261,7 @@ def choose_fast(paths, actuation):
 
 @njit(cache=True, error_model="numpy")
 def choose_near_moving(paths, actuation):
-    """Mark circles with a long path relative to a moving segment near it, in place: they search walls and segments."""
+    """Mark circles that are fast relative to a moving segment near them, in place: they search walls and segments."""
     start, rate, radius, line = paths.start, paths.rate, paths.step.bodies.radius, paths.segments.line
     for s in actuation.moving:
         for i in range(radius.shape[0]):
@@ -253,9 +280,10 @@ def choose_near_moving(paths, actuation):
 
 @njit(inline="always")
 def share_momentum(touches, time, together, paths, actuation, shifts):
-    """Change the paths of circles at simultaneous touches, in place. Returns how many circles `Touches.changed` lists.
+    """Change the paths of the circles at simultaneous touches, in place. A circle shares its mass among its touches.
 
-    touches: their number in `Touches`. A circle shares its mass among its touches.
+    touches: number of touches in `Touches`. time: their time, in units of the step. Returns the number of circles in
+    `Touches.changed`.
     """
     first, second, shares, changed = together.first, together.second, together.shares, together.changed
     direction, rate, yielding, count = together.direction, together.rate, together.yielding, 0
@@ -290,7 +318,10 @@ def share_momentum(touches, time, together, paths, actuation, shifts):
 
 @njit(cache=True, error_model="numpy", _nrt=False)
 def end_rate(way, j, time, together, paths, actuation, shifts):
-    """Give the bodies of the j-th touch a common rate along its direction `way`, in place on their paths."""
+    """Give the two bodies of the j-th touch a common rate along one direction, in place.
+
+    way: `NORMAL` or `SLIP`. time: time of the touch, in units of the step.
+    """
     i, k, yielding, shares = together.first[j], together.second[j], together.yielding[way, j], together.shares
     w = 0.0
     for side in range(2):
@@ -308,17 +339,20 @@ def end_rate(way, j, time, together, paths, actuation, shifts):
 
 @njit(inline="always")
 def hold(i, normal, sign, by, paths):
-    """Mark circle i as held by a body in the direction of the normal times the sign, in place. by: how it is held."""
+    """Mark circle i as held by a body, in place.
+
+    The body lies in the direction of the normal times the sign. by: `CARRIED`, `FIRM` or `FREE` (`hold_of`).
+    """
     paths.held[i] = max(paths.held[i], by)
     paths.block[i, 0], paths.block[i, 1] = sign * normal[0], sign * normal[1]
 
 
 @njit(inline="always")
 def yield_along(i, k, normal, paths, yielding):
-    """Write the `mobility` of circle i along −normal, and of body k along +normal, into `yielding`, (2, 3).
+    """Write how circle i yields to a push along −normal, and body k to a push along +normal, into `yielding`, (2, 3).
 
-    If neither can move, the circle with the lower `Paths.held` moves as if it were free. If both have the same value,
-    both circles do.
+    The two rows are results of `mobility`, and a body that is no circle has w = 0. If neither body can move, the circle
+    with the lower value of `Paths.held` yields as if it were free. If both values are equal, both circles do.
     """
     n, inverse = paths.since.shape[0], paths.inverse
     mobility(i, -normal[0], -normal[1], paths, yielding[0])
@@ -334,9 +368,10 @@ def yield_along(i, k, normal, paths, yielding):
 
 @njit(inline="always")
 def mobility(i, d_x, d_y, paths, result):
-    """Write (w, x, y) of circle i, which is pushed along a unit vector d: its rate changes by 1/m (x, y), along d by w.
+    """Write (w, x, y) into `result`: how circle i yields to a push along the unit vector d = (d_x, d_y).
 
-    A held circle slides along the body that holds it. If d points almost straight at that body, w is 0.
+    A push s, kg m, changes the rate of the circle by s (x, y) / m, m, and its rate along d by s w. A held circle slides
+    along the body that holds it. If d points almost straight at that body (`BLOCKED`), w is 0.
     """
     w, x, y = paths.inverse[i], d_x, d_y
     along = d_x * paths.block[i, 0] + d_y * paths.block[i, 1]
@@ -348,7 +383,11 @@ def mobility(i, d_x, d_y, paths, result):
 
 @njit(inline="always")
 def hold_of(k, paths, actuation):
-    """Hold of body k on a circle: for a wall or segment `CARRIED` or `FIRM`, for a circle its own hold (`held`)."""
+    """Return how body k holds a circle: `FREE`, `CARRIED` or `FIRM`.
+
+    A moving segment holds as `CARRIED`, and a wall or a segment at rest as `FIRM`. A circle k passes on the value that
+    it has itself (`Paths.held`).
+    """
     n = paths.since.shape[0]
     if k < n:
         return paths.held[k]
@@ -360,13 +399,16 @@ def hold_of(k, paths, actuation):
 
 @njit(cache=True, error_model="numpy", _nrt=False)
 def keep_energy(way, j, impulse, together, paths, actuation, shifts):
-    """Correct the velocity of the heavier circle of the j-th touch along a direction, in place, to keep the energy.
+    """Correct a velocity after the j-th touch so that energy is conserved, in place.
 
-    The circles have the velocities that gravity and pushes give in a whole step. A touch changes how far they move
-    along gravity and pushes in it, and so their potential energy. Without the correction, the total would change.
-    Velocities are half a step behind positions. way: `NORMAL` or `SLIP`. impulse: impulse on the rates in this
-    direction, times the rest of the step, kg m. The change of momentum is added to shifts, (n, 2), N·s, if these are
-    logged.
+    The corrected velocity is that of the heavier circle, of those that the touch can move, along one direction. The
+    velocities contain the effect of gravity and external forces in a whole step. A touch changes how far the circles
+    move along these forces, and so their potential energy. Without the correction the total energy would change.
+    Velocities are those of half a step before the positions.
+
+    way: index of the direction, `NORMAL` or `SLIP`. impulse: s in the formula of the module, times the part of the step
+    that is left, kg m. shifts: `StepLog.shifts`, (n, 2), N·s, to which the change of momentum is added if the log
+    stores it.
     """
     i, k = together.first[j], together.second[j]
     direction, yielding = together.direction[way, j], together.yielding[way, j]

@@ -1,31 +1,33 @@
-"""Impacts: where restitution is not 0, circles that meet rebound before forces act.
+"""Impacts: if the restitution e is not 0, circles that meet rebound before forces act.
 
-A step with e > 0 first lets all contacts that approach rebound, in rounds. In a round, the contacts that approach and
-share circles form a cluster, and a cluster rebounds at once, by one reflection. Its contacts get impulses P_i = L p_i
-along their normals, which push for every approach x_i = −v_n,i > 0:
+A step with e > 0 first lets all contacts whose bodies approach each other rebound, in rounds. In a round, contacts that
+approach and that share circles form a cluster. A cluster rebounds at once, by one reflection. Let x_i = −v_n,i > 0 be
+the speed of approach at contact i, with the bodies a and b, normal n_i and normal velocity v_n,i. The contact gets the
+impulse P_i = L p_i along its normal, with
 
     p_i = x_i / (1 / (σ_ai m_a) + 1 / (σ_bi m_b)),  σ_ai = x_i / Σ x_j over the contacts j of the cluster at circle a,
     L = (1 + e) Σ p_i x_i / Σ p_i (n_i · u),  u = M⁻¹ Σ p_i n_i.
 
-For a single contact this is Newton's law, v_n⁺ = −e v_n⁻. Rounds follow until no contact approaches any more, at most
-until `MOST_STRIKES`.
+The factor L has one value for each cluster. In a cluster of a single contact, the impulse gives Newton's law,
+v_n⁺ = −e v_n⁻. Rounds follow one another until no contact approaches any more, or until there are too many rebounds
+(`MOST_STRIKES`).
 
-No impulse depends on the order of contacts or circles, and a contact that hardly approaches changes no impulse by much.
-Momentum is conserved. The energy of a cluster changes by −½ (1 − e²) (Σ p_i x_i)² / Σ p_i (n_i · u). This is 0 at
-e = 1, and never positive, whatever the masses, the solver and its sweeps.
+No impulse depends on the order of contacts or circles. A contact that hardly approaches changes no impulse by much.
+Momentum is conserved. The energy of a cluster changes by −½ (1 − e²) (Σ p_i x_i)² / Σ p_i (n_i · u). This change is 0
+at e = 1, and never positive, whatever the masses, the solver and its sweeps.
 
 Reflections in rounds are those of Smith, Kaufman, Vouga, Tamstorf and Grinspun, Reflections on Simultaneous Impact
-(2012); Vouga et al., All's Well That Ends Well (2017), showed that the rounds end. Splitting the mass of a circle among
-its contacts is from Tonge, Benevolenski and Voroshilov, Mass Splitting for Jitter-Free Parallel Rigid Body Simulation
-(2012); the shares are our own.
+(2012). Vouga et al., All's Well That Ends Well (2017), showed that the rounds end. To split the mass of a circle among
+its contacts is an idea of Tonge, Benevolenski and Voroshilov, Mass Splitting for Jitter-Free Parallel Rigid Body
+Simulation (2012). The shares σ are our own.
 
-Friction follows in each round, from the shared masses: f_i = −k_t v_t within ±μ P_i. It only takes energy, since a body
-whose velocity is the mean of those of its parts has less energy than the parts have.
+Friction follows in each round, with the split masses: f_i = −k_t v_t, limited to ±μ P_i. It only takes energy, because
+a body that moves with the mean velocity of its parts has less energy than the parts have.
 
-All contacts of a step count as simultaneous. Impacts that truly are simultaneous have no unique outcome.
+All contacts of a step count as simultaneous. Impacts that are truly simultaneous have no unique outcome.
 
-Gravity and the contact problem come after the impacts, without restitution. Symplectic Euler leaves velocities half a
-step behind the positions, so that in the impacts walls and segments move at −Δt g / 2.
+Gravity and the contact problem come after the impacts, and use no restitution. Symplectic Euler gives velocities of
+half a step before the positions. To account for this, walls and segments move at −Δt g / 2 in the impacts.
 """
 
 from __future__ import annotations
@@ -42,44 +44,46 @@ from deep_contact.stepping.rows import arms_of, row_masses
 from deep_contact.stepping.segments import moves, surface_velocity, wall_velocity
 
 MOST_STRIKES = 200
-"""Largest number of rebounds in a step per contact. The contact problem stops the approaches that are left."""
+"""Largest number of rebounds in a step, per contact. The contact problem stops the approaches that are left then."""
 
 ALWAYS_STRIKES = 50_000
-"""Number of rebounds that a step may always have, however few its contacts are."""
+"""Number of rebounds that are allowed in every step, even if it has few contacts."""
 
 SLOWEST = 1e-6
-"""Approach, over the fastest approach at a circle in the step so far, below which the circle's contacts do not
-rebound."""
+"""Approach below which a contact does not rebound, divided by the fastest approach at its circles so far in the
+step."""
 
 SLOWEST_LOSSY = 1e-2
-"""This number times 1 − e² replaces `SLOWEST` if it is larger. Otherwise rounds at e < 1 could go on for ever, each
-halving the approach that is left."""
+"""This number times 1 − e² replaces `SLOWEST` if the product is larger.
+
+Otherwise rounds at e < 1 could go on for ever, and each would halve the approach that is left."""
 
 ACROSS = 1e-3
-"""Least approach that rebounds at contacts across gravity, as a share of that at contacts along gravity: the noise of a
-pile does not rebound."""
+"""Least approach that rebounds at contacts perpendicular to gravity, divided by that at contacts along gravity.
+
+Because of this limit, the small velocity errors in a pile do not rebound."""
 
 ROUNDING = 1e-12
-"""Share of the speeds of two bodies below which their approach is taken for rounding."""
+"""Largest approach that counts as a rounding error, divided by the sum of |v_x| + |v_y| over the two bodies."""
 
 
 class Round(NamedTuple):
-    """The clusters of a round, and the fastest approaches in the step so far, of n circles and m contacts.
+    """Work arrays of rounds of impacts, for n circles and m contacts. Clusters, p_i, P_i, x_i, L and u: see the module.
 
-    | field    | meaning                                                           | shape      | unit |
-    |----------|-------------------------------------------------------------------|------------|------|
-    | near     | contacts to examine, and then those that rebound                  | (m,)       | –    |
-    | approach | x_i of the contacts that rebound                                  | (m,)       | m/s  |
-    | push     | P_i of the contacts that rebound                                  | (m,)       | N·s  |
-    | circle   | circles of the clusters                                           | (n,)       | –    |
-    | closing  | Σ x_j of the contacts that rebound at a circle; 0 elsewhere       | (n + 1,)   | m/s  |
-    | cluster  | the circle that stands for the cluster of a circle                | (n + 1,)   | –    |
-    | sums     | Σ p_i x_i, and later L, and Σ p_i (n_i · u) of a cluster          | (n, 2)     | J    |
-    | impulse  | impulse on a circle, along x and y, and its moment over r         | (n + 1, 3) | N·s  |
-    | fastest  | fastest approach at a circle in this step                         | (n + 1,)   | m/s  |
-    | received | impulses on second bodies in this step; (0, 2): not needed        | (m, 2)     | N·s  |
+    | field         | meaning                                                                    | shape      | unit |
+    |---------------|----------------------------------------------------------------------------|------------|------|
+    | near          | indices of the contacts to examine; later of those that rebound            | (m,)       | –    |
+    | approach      | x_i of the contacts that rebound, in the sequence of `near`                | (m,)       | m/s  |
+    | push          | p_i, later P_i, of the contacts that rebound, in the same sequence         | (m,)       | N·s  |
+    | circle        | indices of the circles of all clusters                                     | (n,)       | –    |
+    | closing       | Σ x_j of the contacts that rebound at each circle; 0 for other circles     | (n + 1,)   | m/s  |
+    | cluster       | for each circle the circle whose index stands for its cluster              | (n + 1,)   | –    |
+    | sums          | for each cluster Σ p_i x_i, later L (no unit), and Σ p_i (n_i · u)         | (n, 2)     | J    |
+    | impulse       | impulse on each circle along x and y, and its moment divided by the radius | (n + 1, 3) | N·s  |
+    | fastest       | fastest approach at each circle in the step so far                         | (n + 1,)   | m/s  |
+    | pair_impulses | impulses on the second bodies in this step; (0, 2) if not needed           | (m, 2)     | N·s  |
 
-    Row n stands for walls and segments.
+    Element n of the arrays with n + 1 elements stands for all walls and segments.
     """
 
     near: np.ndarray
@@ -96,9 +100,11 @@ class Round(NamedTuple):
 
 @njit(cache=True, error_model="numpy")
 def logged_rebound(context, motion, contacts, log, actuation):
-    """`rebound`, with its work in the log. Returns the impulses on second bodies, (m, 2), N·s; (0, 2) if not needed.
+    """Do `rebound`, and log the work that is done in it. Returns the impulses on second bodies, (m, 2), N·s.
 
-    context: `StepContext`. motion: `Motion` of its step; None without optional features, and so without restitution.
+    The array is (0, 2) if the impulses are not needed. context: `StepContext`. motion: `Motion` of its step, or None if
+    no optional features are compiled; then there is no restitution either. contacts: m contacts. log: `StepLog`.
+    actuation: `Actuation` of the step, or None.
     """
     impulse = log.loads[:0]
     if motion is not None:
@@ -115,9 +121,10 @@ def logged_rebound(context, motion, contacts, log, actuation):
 def rebound(step, contacts, impulse, actuation):
     """If e > 0, let circles that meet rebound, in place on their velocities and spins (`reflect`).
 
-    Velocities are half a step behind the positions (see the module). Pushes therefore act for half a step before the
-    rebounds, and fixed circles move at −Δt g / 2 in addition, as walls do. Returns the work of pushes in the rebounds,
-    J. actuation: `Actuation` of the step, or None.
+    Velocities are those of half a step before the positions. Therefore external forces act for half a step before the
+    rebounds. Fixed circles get an additional velocity of −Δt g / 2 in the rebounds, as walls do. Returns the work of
+    the external forces in the rebounds, J. step: `StepInput`. impulse: see `reflect`. actuation: `Actuation` of the
+    step, or None.
     """
     work, bodies = 0.0, step.bodies
     if step.restitution == 0.0:
@@ -144,13 +151,16 @@ def rebound(step, contacts, impulse, actuation):
 
 @njit(cache=True, error_model="numpy")
 def reflect(step, contacts, impulse, actuation):
-    """The rounds of `rebound`. Their stages are inlined: a call would count references to every array of the step.
+    """Do the rounds of `rebound`, in place on velocities and spins.
 
-    step: `StepInput`. impulse: the impulses on the second bodies of the contacts are added to it, (m, 2), N·s; (0, 2)
-    if they are not needed.
+    Slow approaches do not rebound, so that piles come to rest. The limit of the approach is a speed times a factor. The
+    speed is the larger of Δt |g| and of (1 − e²) times the scene's `restitution_threshold`. The factor is the larger of
+    |n · g| / |g| and `ACROSS`. It is small at contacts perpendicular to gravity, for example with side walls, because
+    gravity does not press on them. Without gravity the speed is (1 − e²) times the threshold, and the factor is 1.
 
-    Slow approaches do not rebound, so that piles come to rest. The limit is the larger of Δt |g| and (1 − e²) times the
-    scene's `restitution_threshold`, times the larger of |n · g| / |g| and `ACROSS`: gravity presses on no side wall.
+    step: `StepInput`. impulse: array to which the impulses on the second bodies of the m contacts are added, (m, 2),
+    N·s; (0, 2) if they are not needed. actuation: `Actuation` of the step, or None. The functions of the stages of a
+    round, except `rub`, are inlined, because a call would count references to every array of the step.
     """
     m, n, floor = contacts.body_a.shape[0], step.bodies.mass.shape[0], floor_of(step)
     now = Round(
@@ -169,7 +179,7 @@ def reflect(step, contacts, impulse, actuation):
         for k in range(circles):
             end = head[now.circle[k]]
             while end >= 0:
-                # A contact of two circles that were both hit is listed once, by its first circle.
+                # A contact of two circles that have both rebounded is listed once, for its first circle.
                 if end % 2 == 0 or now.closing[contacts.body_a[end // 2]] == 0.0:
                     now.near[count] = end // 2
                     count += 1
@@ -180,7 +190,10 @@ def reflect(step, contacts, impulse, actuation):
 
 @njit(cache=True, error_model="numpy")
 def floor_of(step):
-    """(flat, f_x, f_y), m/s: an approach along n rebounds if it is faster than flat and than |f · n| (`reflect`)."""
+    """Return (flat, f_x, f_y), m/s, which describe the slowest approach that rebounds (`reflect`).
+
+    An approach along the unit normal n rebounds if it is faster than flat and than |f · n|.
+    """
     (g_x, g_y), e = step.gravity, step.restitution
     gravity, slow = math.hypot(g_x, g_y), (1.0 - e * e) * step.scales.restitution_threshold
     if gravity == 0.0:
@@ -191,13 +204,13 @@ def floor_of(step):
 
 @njit(inline="always")
 def approaching(step, contacts, count, now, floor, slowest, actuation):
-    """Keep those of the first `count` contacts in `now.near` that rebound, in place, with x_i = −v_n.
+    """Select the contacts that rebound, in place in `now.near`, and write their x_i = −v_n into `now.approach`.
 
-    Returns the number of contacts that rebound.
-    A contact rebounds if it approaches faster than the floor, and faster than `slowest` times the fastest approach at
-    its circles.
+    A contact rebounds if its bodies approach each other faster than the limit `floor` (`floor_of`), and faster than
+    `slowest` times the fastest approach at its circles in the step so far. count: number of contacts in `now.near`, of
+    which the function selects. Returns the number of contacts that rebound.
     """
-    # Unpacked here: arrays inside tuples would count references in every iteration of the loop.
+    # The arrays are unpacked here, because Numba would count references to arrays in tuples in every iteration.
     velocity, mass, fastest, near, approach = (
         step.bodies.velocity,
         step.bodies.mass,
@@ -213,7 +226,7 @@ def approaching(step, contacts, count, now, floor, slowest, actuation):
         floor,
     )
     up_x, up_y = -0.5 * step.dt * step.gravity[0], -0.5 * step.dt * step.gravity[1]
-    struck = np.int64(0)  # the literal 0 has a type of its own, for which `rub` would be compiled once more
+    struck = np.int64(0)  # the literal 0 has a type of its own, for which `rub` would be compiled a second time
     for k in range(count):
         i = near[k]
         a, b, n_x, n_y = body_a[i], body_b[i], normal[i, 0], normal[i, 1]
@@ -234,7 +247,10 @@ def approaching(step, contacts, count, now, floor, slowest, actuation):
 
 @njit(inline="always")
 def ground_of(step, contacts, i, actuation):
-    """Velocity of a wall or a segment at the i-th contact, m/s: see the module."""
+    """Return the velocity (v_x, v_y) of the wall or segment of the i-th contact in the impacts, m/s.
+
+    At rest it is −Δt g / 2 (see the module). actuation: `Actuation` of the step, or None.
+    """
     v_x, v_y = -0.5 * step.dt * step.gravity[0], -0.5 * step.dt * step.gravity[1]
     if actuation is not None:
         s = contacts.body_b[i] - step.bodies.mass.shape[0] - 4
@@ -247,15 +263,17 @@ def ground_of(step, contacts, i, actuation):
 
 @njit(inline="always")
 def inverse_mass(bodies, i):
-    """Inverse mass of body i, 1/kg; 0 for fixed circles, walls and segments."""
+    """Return the inverse mass of body i, 1/kg. It is 0 for fixed circles, walls and segments."""
     return 1.0 / bodies.mass[i] if i < bodies.mass.shape[0] else 0.0
 
 
 @njit(cache=True)
 def contacts_of_circles(contacts, n):
-    """(head, following): linked lists of the contacts i of each circle, as numbers 2 i + side; −1 ends a list.
+    """Return (head, following): a linked list of the contacts of each circle.
 
-    head, (n,): the last contact of each circle. following, (2 m,): the contact of the circle before that one.
+    An element of a list is the number 2 i + side. It stands for contact i, with the circle as its first body (side 0)
+    or second body (side 1). A −1 ends a list. head: first element of the list of each circle, (n,). following: the
+    element that follows each element, (2 m,).
     """
     m = contacts.body_a.shape[0]
     head, following = np.full(n, -1), np.empty(2 * m, np.int64)
@@ -269,7 +287,10 @@ def contacts_of_circles(contacts, n):
 
 @njit(inline="always")
 def join(bodies, contacts, struck, now):
-    """Join the circles of the contacts that rebound into clusters, in place. Returns the number of these circles."""
+    """Join the circles of the contacts that rebound into clusters, in place. Returns the number of these circles.
+
+    struck: number of contacts that rebound, the first ones in `now.near`.
+    """
     n, count = bodies.mass.shape[0], np.int64(0)
     for k in range(struck):
         i, x = now.near[k], now.approach[k]
@@ -292,7 +313,10 @@ def join(bodies, contacts, struck, now):
 
 @njit(inline="always")
 def shared_masses(bodies, contacts, k, now):
-    """(cluster, 1 / (σ_a m_a), 1 / (σ_b m_b)) of the k-th contact that rebounds; the inverse masses in 1/kg."""
+    """Return (cluster, 1 / (σ_a m_a), 1 / (σ_b m_b)) of the k-th contact that rebounds, the inverse masses in 1/kg.
+
+    cluster: index of the circle that stands for the cluster. σ: see the module.
+    """
     i = now.near[k]
     a, b = contacts.body_a[i], min(contacts.body_b[i], bodies.mass.shape[0])
     w_a = inverse_mass(bodies, a) * (now.closing[a] / now.approach[k])
@@ -302,7 +326,10 @@ def shared_masses(bodies, contacts, k, now):
 
 @njit(inline="always")
 def push(step, contacts, struck, circles, now):
-    """Apply the normal impulses P_i = L p_i to the circles, in place."""
+    """Apply the normal impulses P_i = L p_i of all clusters to the circles, in place on their velocities.
+
+    struck: number of contacts that rebound. circles: number of their circles.
+    """
     bodies, n = step.bodies, step.bodies.mass.shape[0]
     for k in range(struck):
         i = now.near[k]
@@ -319,7 +346,7 @@ def push(step, contacts, struck, circles, now):
         c = now.circle[k]
         if now.cluster[c] == c:
             sums = now.sums[c]
-            # Impulses that cancel change nothing.
+            # Impulses that cancel each other change no velocity.
             sums[0] = (1.0 + step.restitution) * sums[0] / sums[1] if sums[1] > 0.0 else 0.0
     for k in range(circles):
         c = now.circle[k]
@@ -334,7 +361,7 @@ def push(step, contacts, struck, circles, now):
 
 @njit(inline="always")
 def give(now, a, b, p_x, p_y):
-    """Add an impulse on b, N·s, and its reaction on a to `now.impulse`, in place."""
+    """Add an impulse (p_x, p_y) on body b, N·s, and its reaction on body a to `now.impulse`, in place."""
     now.impulse[a, 0] -= p_x
     now.impulse[a, 1] -= p_y
     now.impulse[b, 0] += p_x
@@ -343,9 +370,11 @@ def give(now, a, b, p_x, p_y):
 
 @njit(cache=True, error_model="numpy")
 def rub(step, contacts, struck, circles, now, friction, actuation):
-    """Apply the friction of the normal impulses to the circles, in place.
+    """Apply the friction of the normal impulses to the circles, in place on their velocities and spins.
 
-    The function is not inlined: only by the type of an argument does the compiler know that there is no friction.
+    Add all impulses to `now.pair_impulses`. struck: number of contacts that rebound. circles: number of their circles.
+    friction: μ, or None without friction. This function is not inlined, because the compiler leaves the code of
+    friction out only if an argument has the type of None.
     """
     bodies, n = step.bodies, step.bodies.mass.shape[0]
     for k in range(struck):
@@ -373,7 +402,10 @@ def rub(step, contacts, struck, circles, now, friction, actuation):
 
 @njit(inline="always")
 def slip_of(step, contacts, i, arms, actuation):
-    """v_t of the i-th contact along the tangent (n_y, −n_x), m/s. arms: over radii."""
+    """Return the tangential velocity v_t of the i-th contact along the tangent (n_y, −n_x), m/s.
+
+    arms: arm of each body of the contact, divided by its radius. actuation: `Actuation` of the step, or None.
+    """
     bodies, n, a, b = step.bodies, step.bodies.mass.shape[0], contacts.body_a[i], contacts.body_b[i]
     n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
     v_t = arms[0] * bodies.spin[a] * bodies.radius[a] - bodies.velocity[a, 0] * n_y + bodies.velocity[a, 1] * n_x

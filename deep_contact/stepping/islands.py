@@ -1,7 +1,7 @@
-"""Islands: circles that touch each other, directly or through others. Walls connect nothing, for they never move.
+"""Find islands: groups of circles that touch each other, directly or through other circles.
 
-No island influences another, so that each can be solved with a number of sweeps of its own (`PGS(islands=True)`; Figure
-6.7), or put to sleep (`sleeping`).
+Walls and segments connect no circles. No island influences another. Therefore each island can be solved with its own
+number of sweeps (`PGS(islands=True)`; Figure 6.7), or put to sleep (`sleeping`).
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from deep_contact.stepping.rows import BODY_A, BODY_B, Rows
 
 
 class IslandsWorkspace(NamedTuple):
-    """Workspace: the islands of n circles, and the rows of m contacts sorted by island."""
+    """Work arrays: the islands of n circles, and the rows of m contacts sorted by island."""
 
-    parent: np.ndarray  # (n,): parent of each circle in the forest of the union-find; a root is its own parent
-    start: np.ndarray  # (n + 1,): sorted rows `start[k]` to `start[k + 1]` belong to the k-th island
-    order: np.ndarray  # (m,): place of each sorted row before it was sorted
-    rows: Rows  # `Rows` sorted by island, and within it as they were
+    parent: np.ndarray  # (n,): parent of each circle in the union-find forest; a root is its own parent
+    start: np.ndarray  # (n + 1,): the k-th island has the sorted rows start[k] to start[k + 1] − 1
+    order: np.ndarray  # (m,): index of each sorted row before the sort
+    rows: Rows  # sorted by island; within an island in their former sequence
 
 
 @njit(cache=True)
 def make_islands_workspace(rows, solver_bodies):
-    """Workspace for as many contacts as there are rows."""
+    """Return the work arrays for as many contacts as there are rows. solver_bodies: (n + 4, 4)."""
     n, m = solver_bodies.shape[0] - 4, rows.body.shape[0]
     copies = Rows(np.empty_like(rows.body), np.empty_like(rows.data), np.empty_like(rows.impulse))
     return IslandsWorkspace(np.empty(n, np.int64), np.empty(n + 1, np.int64), np.empty(m, np.int64), copies)
@@ -34,7 +34,11 @@ def make_islands_workspace(rows, solver_bodies):
 
 @njit(cache=True)
 def root_of(parent, i):
-    """The root of circle i; paths are halved on the way, in place (Tarjan and van Leeuwen, J. ACM 31, 1984)."""
+    """Return the root of circle i in the union-find forest.
+
+    The path to the root is halved, in place (Tarjan and van Leeuwen, J. ACM 31, 1984). parent: parent of each circle,
+    (n,).
+    """
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -43,7 +47,11 @@ def root_of(parent, i):
 
 @njit(cache=True)
 def unite(body_a, body_b, parent):
-    """Union-find over contacts. Fills parent, (n,): afterwards every root is the smallest circle of its island."""
+    """Unite the circles of all contacts by union-find, in place on parent, (n,).
+
+    Afterwards the root of each island is the circle with its smallest index. body_a, body_b: indices of the two bodies
+    of each contact, (m,).
+    """
     n = parent.shape[0]
     for i in range(n):
         parent[i] = i
@@ -55,7 +63,10 @@ def unite(body_a, body_b, parent):
 
 @njit(cache=True)
 def sort_by_island(rows, workspace):
-    """Counting sort of rows by island, islands by their smallest circle. Returns (number of islands, sorted rows)."""
+    """Sort rows by island, by a counting sort, into the workspace. Returns (number of islands, sorted rows).
+
+    Islands are in the order of their smallest circles.
+    """
     parent, start, order = workspace.parent, workspace.start, workspace.order
     n, m = parent.shape[0], rows.body.shape[0]
     unite(rows.body[:, BODY_A], rows.body[:, BODY_B], parent)
@@ -64,7 +75,7 @@ def sort_by_island(rows, workspace):
         start[root_of(parent, np.int64(rows.body[i, BODY_A])) + 1] += 1
     for c in range(n):
         start[c + 1] += start[c]
-    # Filled from the back, which leaves start[root + 1] where the island begins.
+    # Filled from the back: afterwards start[root + 1] is the place at which the island begins.
     for i in range(m - 1, -1, -1):
         root = root_of(parent, np.int64(rows.body[i, BODY_A]))
         start[root + 1] -= 1
@@ -88,7 +99,7 @@ def sort_by_island(rows, workspace):
 
 
 def islands_of(state: State) -> np.ndarray:
-    """The island of each circle of a state that has contacts, (n,): the smallest index of a circle in it."""
+    """Return the island of each circle of a state with contacts, (n,): the smallest index of a circle in the island."""
     parent = np.empty(state.bodies.count, np.int64)
     unite(state.contacts.body_a, state.contacts.body_b, parent)
     return np.array([root_of(parent, i) for i in range(parent.size)], np.int64)

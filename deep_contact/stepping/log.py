@@ -1,4 +1,7 @@
-"""What steps log: numbers of each step, sums over the steps, and the impulses of each pair in a watched step."""
+"""Log steps: numbers of each step, sums over the steps, and the impulses of each pair of bodies in a watched step.
+
+A substep is one of the equal parts of a step. A relaxation is the update of the impulses of one contact.
+"""
 
 from __future__ import annotations
 
@@ -11,45 +14,52 @@ from deep_contact.state.arrays import Contacts
 from deep_contact.stepping.segments import moves, wall_velocity
 
 DONE, WORK, LAST_SWEEPS, WATCHED, FINITE, PASSED = range(6)
-"""Elements of `StepLog.progress`: number of the solver's substeps that are done; work, in relaxations, until the call
-ends; sweeps of the last solve; whether the call is a single step whose impulses are logged in `StepLog.pair_impulses`;
-whether all positions are finite; 1 + the circle over which a moving segment has passed last, or 0."""
+"""Elements of `StepLog.progress`.
+
+DONE: number of substeps of the solver that are done. WORK: work that is left until the call ends, in relaxations.
+LAST_SWEEPS: number of sweeps of the last solve. WATCHED: whether the call is a single step whose impulses are logged in
+`StepLog.pair_impulses`. FINITE: whether all positions are finite. PASSED: 1 + index of the circle over which a moving
+segment has passed last, or 0."""
 
 PAIR, X, Y, N_X, N_Y, SEPARATION, P_X, P_Y = range(8)
-"""Columns of `StepLog.pair_impulses`: the two bodies as one number (`pair_of`); contact point, m, normal and
-separation, m,
-of the contact when it came; impulse on its second body, N·s."""
+"""Columns of `StepLog.pair_impulses`.
+
+PAIR: the two bodies as one number (`pair_of`). X, Y: contact point, m. N_X, N_Y: unit normal. SEPARATION: separation,
+m. P_X, P_Y: impulse on the second body, N·s. Point, normal and separation are those at the moment at which the contact
+appeared."""
 
 MOST_BODIES = 2**26
-"""Largest number of bodies, walls and segments included, with which float64 holds the number of a pair exactly."""
+"""Largest number of bodies, with walls and segments, for which a float64 represents the number of a pair exactly."""
 
 BESIDE_SWEEPS = 20
-"""Work of a substep outside of its sweeps, in relaxations per contact."""
+"""Work of a substep without its sweeps, in relaxations per contact."""
 
 
 class StepLog(NamedTuple):
-    """Log of steps, (steps,) each. Of a divided step: contacts and θ of its last substep, sums of the other columns."""
+    """Log of steps. The first five arrays have one number for each step, (steps,).
 
-    contacts: np.ndarray
-    sweeps: np.ndarray
+    If a step is divided into substeps, `contacts` and `theta` are those of its last substep, and the other numbers are
+    sums over its substeps. The impulses of rebounds and those of solves are added up in `pair_impulses`.
+    """
+
+    contacts: np.ndarray  # number of contacts
+    sweeps: np.ndarray  # number of sweeps
     theta: np.ndarray  # θ of the last sweep, N·s
-    relaxations: np.ndarray
+    relaxations: np.ndarray  # number of relaxations of a contact
     substeps: np.ndarray  # number of substeps
     progress: np.ndarray  # (6,): `DONE`, `WORK`, `LAST_SWEEPS`, `WATCHED`, `FINITE`, `PASSED`
-    loads: np.ndarray  # (4 + S, 2): sum of the impulses on walls and segments, N·s; (0, 2): not logged
-    pair_impulses: (
-        np.ndarray
-    )  # (k, 8): impulses of each pair in a watched step, of rebounds and solves, sorted by `PAIR`
-    on_circles: np.ndarray  # (n, 2): sum of the contact impulses on the circles, N·s; (0, 2): not logged
-    work: np.ndarray  # (1,): work of moving segments, fixed circles and pushes, J
-    shifts: np.ndarray  # (n, 2): momentum from gravity and pushes beyond Δt (m g + f), N·s; (0, 2): not logged
+    loads: np.ndarray  # (4 + S, 2): sum of the impulses on each wall and segment, N·s; (0, 2): not logged
+    pair_impulses: np.ndarray  # (k, 8): impulses of k pairs in a watched step, sorted by `PAIR`
+    on_circles: np.ndarray  # (n, 2): sum of the contact impulses on each circle, N·s; (0, 2): not logged
+    work: np.ndarray  # (1,): work of moving segments, fixed circles and external forces, J
+    shifts: np.ndarray  # (n, 2): momentum from gravity and external forces beyond Δt (m g + f), N·s; (0, 2): not logged
 
 
 def make_log(steps: int, loads: int = 0, circles: int = 0, shifts: int = 0) -> StepLog:
-    """A log of `steps` steps, all of which one call may do.
+    """Return an empty log for `steps` steps, without a bound on the work of a call.
 
-    loads: number of walls and segments, or 0 to log no impulses on them. circles, shifts: number of circles, or 0 to
-    log no `on_circles` or no `shifts`.
+    loads: number of walls and segments, or 0 to log no impulses on them. circles: number of circles, or 0 to log no
+    `on_circles`. shifts: number of circles, or 0 to log no `shifts`.
     """
     counts, theta = np.zeros((4, steps), np.int64), np.zeros(steps)
     progress = np.array([0, 2**63 - 1, 0, 0, 1, 0])  # without a bound on the work
@@ -58,14 +68,22 @@ def make_log(steps: int, loads: int = 0, circles: int = 0, shifts: int = 0) -> S
 
 
 def some_steps(log: StepLog, first: int, count: int, work: int, is_watched: bool) -> StepLog:
-    """`count` rows of a log from `first` on, as views, for a call that ends after `work` relaxations."""
+    """Return `count` rows of a log from row `first` on, as views, for one call.
+
+    work: bound on the work, after which the call ends, in relaxations. is_watched: whether the impulses of each pair
+    are logged.
+    """
     progress = np.array([0, work, 0, is_watched, 1, 0])
     return StepLog(*[column[first : first + count] for column in log[:5]], progress, *log[6:])
 
 
 @njit(cache=True)
 def log_substep(log, k, contacts, sweeps, theta, relaxations):
-    """Add a substep of the k-th step to the log, in place."""
+    """Add a substep of the k-th step to the log, in place.
+
+    contacts: number of contacts. sweeps: number of sweeps of the solve. theta: θ of each sweep, N·s. relaxations:
+    number of relaxations of a contact.
+    """
     log.contacts[k] = contacts
     log.sweeps[k] += sweeps
     log.theta[k] = theta[sweeps - 1] if sweeps > 0 else np.inf
@@ -77,9 +95,11 @@ def log_substep(log, k, contacts, sweeps, theta, relaxations):
 
 @njit(cache=True, error_model="numpy")
 def log_work(step, contacts, solver_bodies, log):
-    """Log the work of the actuation in a substep: the work of its solved impulses, and that of pushes.
+    """Add the work of moving segments, fixed circles and external forces in a substep to `StepLog.work`, J, in place.
 
-    The power of a push is its force times the mean of the velocities before and after the substep.
+    The power of an external force is the force times the mean of the velocities before and after the substep. step:
+    `StepInput` of the substep. contacts: contacts with their solved impulses. solver_bodies: (N, 4), with the solved
+    velocities.
     """
     bodies, actuation, of_pushes = step.bodies, step.actuation, 0.0
     for i in range(bodies.mass.shape[0]):
@@ -92,9 +112,10 @@ def log_work(step, contacts, solver_bodies, log):
 
 @njit(cache=True, error_model="numpy")
 def work_on(step, contacts, impulse):
-    """The work of moving segments and fixed circles, J, from the impulses on second bodies, (m, 2), N·s.
+    """Return the work of moving segments and fixed circles on the free circles, J.
 
-    The work of moving surfaces (`World.surface_speeds`) is not included. contacts: at the positions of the circles.
+    The work of moving surfaces (`World.surface_speeds`) is not included. step: `StepInput`. contacts: m contacts at the
+    positions of the circles. impulse: impulses on the second bodies of the contacts, (m, 2), N·s.
     """
     bodies, actuation, work = step.bodies, step.actuation, 0.0
     n = bodies.mass.shape[0]
@@ -117,13 +138,13 @@ def work_on(step, contacts, impulse):
 
 @njit(cache=True)
 def is_asked(log):
-    """Whether impulses are logged."""
+    """Return whether the log stores any impulses."""
     return log.loads.shape[0] > 0 or log.on_circles.shape[0] > 0 or log.progress[WATCHED] != 0
 
 
 @njit(cache=True)
 def impulses_of(contacts, share):
-    """The impulses of contacts on their second bodies, times `share`, (m, 2), N·s."""
+    """Return the impulses of m contacts on their second bodies, multiplied by `share`, (m, 2), N·s."""
     impulse = np.empty((contacts.body_a.shape[0], 2))
     for i in range(impulse.shape[0]):
         p_n, p_t = share * contacts.normal_impulse[i], share * contacts.tangent_impulse[i]
@@ -134,9 +155,11 @@ def impulses_of(contacts, share):
 
 @njit(cache=True)
 def log_impulses(log, pair_impulses, contacts, impulse, n):
-    """Log impulses on the second bodies of contacts, (m, 2), N·s: `loads` and `on_circles` change in place.
+    """Add the impulses of m contacts to `StepLog.loads` and `StepLog.on_circles`, in place.
 
-    n: number of circles. Returns `StepLog.pair_impulses` with these impulses.
+    pair_impulses: array described in `StepLog.pair_impulses`. impulse: impulses on the second bodies of the contacts,
+    (m, 2), N·s. n: number of circles. Returns `pair_impulses` with these impulses added if the step is watched. It is
+    the same array if it has a row for each contact, and otherwise a larger one.
     """
     m, j = impulse.shape[0], 0
     for i in range(m if log.loads.shape[0] > 0 else 0):
@@ -163,14 +186,20 @@ def log_impulses(log, pair_impulses, contacts, impulse, n):
 
 @njit(cache=True)
 def log_pairs(context, log, contacts, impulse):
-    """`log_impulses`, in place on the context. impulse: on second bodies, (m, 2), N·s."""
+    """Log the impulses of a substep by `log_impulses`, and set `context.pair_impulses` to the sums that it returns.
+
+    context: `StepContext`. impulse: impulses on the second bodies of the contacts, (m, 2), N·s.
+    """
     n = context.step.bodies.mass.shape[0]
     context.pair_impulses = log_impulses(log, context.pair_impulses, contacts, impulse, n)
 
 
 @njit(cache=True)
 def log_rest(context, log):
-    """Log a substep in which all circles sleep, in place: contacts keep their impulses."""
+    """Log a substep in which all circles sleep, in place.
+
+    The impulses of the contacts stay as they are, and are logged. context: `StepContext`.
+    """
     log_substep(log, context.row, 0, 0, context.memory.theta, 0)
     if is_asked(log):
         log_pairs(context, log, context.contacts, impulses_of(context.contacts, 1.0 / context.step.substeps))
@@ -178,7 +207,10 @@ def log_rest(context, log):
 
 @njit(cache=True)
 def with_pairs(pair_impulses, contacts):
-    """`StepLog.pair_impulses` with a row for each of these contacts, in their order; itself if it has all rows."""
+    """Return `StepLog.pair_impulses` with a row for each of these contacts, sorted by `PAIR`.
+
+    New rows have impulses of 0. If no row is missing, the array itself is returned.
+    """
     k, m, new, j = pair_impulses.shape[0], contacts.body_a.shape[0], 0, 0
     for i in range(m):
         while j < k and pair_impulses[j, PAIR] < pair_of(contacts, i):
@@ -190,7 +222,7 @@ def with_pairs(pair_impulses, contacts):
     for row in range(k + new):
         if j < k and (i == m or pair_impulses[j, PAIR] <= pair_of(contacts, i)):
             i += i < m and pair_impulses[j, PAIR] == pair_of(contacts, i)
-            for column in range(8):  # an assignment of rows brings 37 functions along, for the text of its error
+            for column in range(8):  # to assign a whole row would compile 37 more functions, for an error message
                 merged[row, column] = pair_impulses[j, column]
             j += 1
         else:
@@ -203,17 +235,18 @@ def with_pairs(pair_impulses, contacts):
 
 @njit(inline="always")
 def pair_of(contacts, i):
-    """The two bodies of the i-th contact as one number, which increases along the list of contacts."""
+    """Return the two bodies of the i-th contact as one number, which increases along the sorted list of contacts."""
     return contacts.body_a[i] * MOST_BODIES + contacts.body_b[i]
 
 
 def of_whole_step(contacts: Contacts, pair_impulses: np.ndarray) -> Contacts:
-    """The contacts of a step, also those that came during it, with their impulses summed over the step.
+    """Return all contacts that existed during a step, with their impulses summed over the step.
 
-    While a pair turns in a divided step, its sum may come to pull along the normal with which it came. A normal across
-    the sum replaces that normal, so that λ_n is 0, and the impulse on the bodies is that of the step.
+    In a divided step a pair of circles may turn around each other, until the sum of its impulses pulls along the normal
+    with which the contact appeared. That normal is then replaced by a normal perpendicular to the sum. In this way λ_n
+    is 0, and the impulse on the bodies is still the sum.
 
-    contacts: at the start of the step. pair_impulses: of `StepLog`.
+    contacts: contacts at the start of the step. pair_impulses: `StepLog.pair_impulses`.
     """
     pair, x, y, n_x, n_y, separation, p_x, p_y = pair_impulses.T
     starts = np.zeros((2, len(pair)))

@@ -1,9 +1,9 @@
-"""Errors of the solution of a step, with unit and source, and quantities that they are computed from.
+"""Measure errors of the solution of a step, and compute the quantities that the errors need.
 
-θ is no error: it is small for a slowly converging method even far from the solution. Two errors are defined. `residual`
-measures how far a solution is from solving the contact problem. `velocity_error` compares it with an exact solution, as
-`analysis.exact` finds it. Impulses are not compared, because with friction many impulses of a pile give equal
-velocities.
+The largest change of an impulse in a sweep, θ, is not an error: with a slowly converging method it is small even far
+from the solution. Two errors are defined. `residual` measures how far a solution is from solving the contact problem.
+`velocity_error` compares a solution with an exact solution, which `analysis.exact` finds. Impulses are not compared,
+because with friction many different impulses give a pile the same velocities.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from deep_contact.stepping.segments import ground_velocities
 def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
     """Return the velocities v⁻ = v + Δt M⁻¹ F before contact impulses: (n, 2), m/s, and spins (n,), rad/s (Eq 2.27).
 
-    v: velocities after the impacts of the step. F: gravity and external forces.
+    v: velocities after the impacts of the step. F: gravity and external forces. Fixed circles have their own
+    velocities.
     """
     after, _ = after_impacts(state)
     bodies = after.bodies
@@ -31,28 +32,28 @@ def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
 
 
 def kinetic_energy(bodies: Bodies) -> float:
-    """Return the kinetic energy of all free circles, of translation and rotation, J."""
+    """Return the kinetic energy of all free circles, translation and rotation together, J."""
     bodies = bodies._replace(mass=bodies.free_mass)
     linear = np.einsum("i,ij,ij->", bodies.mass, bodies.velocity, bodies.velocity)
     return float(0.5 * (linear + bodies.inertia @ bodies.spin**2))
 
 
 def energy_norm(bodies: Bodies, velocity: np.ndarray, spin: np.ndarray) -> float:
-    """Return ‖(v, ω)‖_M = √(Σ m |v|² + I ω²), √J: √2 times the square root of the kinetic energy.
+    """Return ‖(v, ω)‖_M = √(Σ m |v|² + I ω²) over the free circles, √J: √2 times the square root of the kinetic energy.
 
-    In this norm the frictionless contact problem is a projection (Moreau 1966). velocity: (n, 2), m/s. spin: (n,),
-    rad/s.
+    In this norm the solution of the frictionless contact problem is a projection (Moreau 1966). velocity: v, (n, 2),
+    m/s. spin: ω, (n,), rad/s.
     """
     bodies = bodies._replace(mass=bodies.free_mass)
     return float(np.sqrt(bodies.mass @ (velocity**2).sum(axis=1) + bodies.inertia @ spin**2))
 
 
 def velocity_error(state: State, solution: ContactSolution, reference: ContactSolution) -> float:
-    """Return ‖v − v*‖_M / ‖v* − v⁻‖_M: the share of what contacts do to the velocities that is still wrong.
+    """Return ‖v − v*‖_M / ‖v* − v⁻‖_M: the error of the velocities, relative to the change that the contacts cause.
 
-    v: velocities of the solution. v*: velocities of the reference. v⁻: `free_velocity`. Without any contact impulse,
-    the error is 1. If contacts do not change the velocities at all (v* = v⁻), the error is 0 for v = v*, and otherwise
-    infinite.
+    v: velocities of the solution. v*: velocities of the reference, an exact solution. v⁻: velocities before contact
+    impulses (`free_velocity`). ‖·‖_M: `energy_norm`. A solution without any contact impulse has an error of 1. If
+    contacts do not change the velocities at all (v* = v⁻), the error is 0 for v = v*, and otherwise infinite.
     """
     free, spin = free_velocity(state)
     spinning = solution.angular_velocities - reference.angular_velocities
@@ -64,9 +65,9 @@ def velocity_error(state: State, solution: ContactSolution, reference: ContactSo
 
 
 def _ends(state: State) -> tuple[np.ndarray, ...]:
-    """Return (a, b, arm of a, arm of b) of every contact, (m,) each: indices of its bodies, and their arms, m.
+    """Return (a, b, arm of a, arm of b) of each contact, (m,) each: indices of its two bodies, and their arms, m.
 
-    Four bodies behind the circles stand for the walls and all segments. Their arms are 0.
+    Walls and segments have the indices n to n + 3, and all segments share n + 3. Their arms are 0.
     """
     n, half = state.bodies.count, 0.5 * state.contacts.separation
     a, b = state.contacts.body_a, np.minimum(state.contacts.body_b, n + 3)
@@ -88,7 +89,7 @@ def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tupl
 
 
 def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Return the effective masses 1 / (J M⁻¹ Jᵀ) of the normal and of the tangent rows, (m,) each, kg."""
+    """Return the effective masses 1 / (J M⁻¹ Jᵀ) of the normal rows and of the tangent rows, (m,) each, kg."""
     a, b, arm_a, arm_b = _ends(state)
     w, i = np.append(1 / state.bodies.mass, np.zeros(4)), np.append(1 / state.bodies.inertia, np.zeros(4))
     return 1 / (w[a] + w[b]), 1 / (w[a] + w[b] + arm_a**2 * i[a] + arm_b**2 * i[b])
@@ -97,10 +98,10 @@ def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
 def residual(state: State, solution: ContactSolution) -> float:
     """Return the complementarity residual, m/s: the largest |λ − Π(λ − k u)| / k over all rows (the natural map).
 
-    u: velocity of the row, m/s. k: its effective mass, kg. Π: limits λ_n to >= 0, and λ_t to ±μ λ_n. For a normal row
-    the number is |min(λ_n / k, u_n)|: the speed at which bodies still approach, or at which they separate although the
-    contact pushes. If it is 0 in every row, Eq 2.27 with Coulomb's law, Eq 2.29, is satisfied. (Cottle, Pang and Stone
-    1992, section 1.4; Erleben 2013.)
+    λ: impulse of the row, N·s. u: relative velocity of the row, m/s. k: effective mass of the row, kg. Π: limits λ_n to
+    >= 0, and λ_t to ±μ λ_n. For a normal row the number is |min(λ_n / k, u_n)|. This is the speed at which bodies still
+    approach, or at which they separate although the contact pushes. If the residual is 0 in every row, Eq 2.27 with
+    Coulomb's law, Eq 2.29, is satisfied. (Cottle, Pang and Stone 1992, section 1.4; Erleben 2013.)
     """
     if state.contacts.count == 0:
         return 0.0
@@ -114,8 +115,9 @@ def residual(state: State, solution: ContactSolution) -> float:
 
 
 def penetration(state: State) -> float:
-    """Return the deepest penetration at the state's positions, m.
+    """Return the deepest penetration at the positions of a state, m; 0 if nothing penetrates.
 
-    Circles penetrate other circles, and the skin of walls and segments.
+    Circles penetrate other circles, walls and segments. Penetration of a wall or a segment is measured from its skin,
+    which lies `ContactScales.wall_skin` in front of the surface, and not from the surface itself.
     """
     return float(max(0.0, -contacts_of(state).separation.min(initial=0.0)))

@@ -1,4 +1,4 @@
-"""Paths of circles through a step, in straight pieces, and the search for paths that cross.
+"""Describe the paths of circles through a step as straight pieces, and search for paths that cross.
 
 Tests: tests/stepping/test_continuous.py
 """
@@ -13,25 +13,28 @@ from deep_contact.compiled import njit
 from deep_contact.stepping.broad_phase import make_cells, sort_level
 
 FREE, CARRIED, FIRM = range(3)
-"""Values of `Paths.held`: not held; held by a moving body; held by a body at rest."""
+"""Values of `Paths.held`: how a circle is held, that is, kept from moving in one direction, by a body that it has met.
+
+FREE: no body holds it. CARRIED: a moving body holds it. FIRM: a body at rest holds it. For a fixed circle the value
+tells whether the circle itself moves or is at rest."""
 
 
 class Paths(NamedTuple):
-    """The last pieces of the paths of n circles in a step. Times are in steps.
+    """The paths of n circles in a step, each described by its last straight piece. Times are in units of the step.
 
-    | field    | meaning                                                            | shape  | unit |
-    |----------|--------------------------------------------------------------------|--------|------|
-    | step     | `StepInput` of the step; its bodies are at its end                 |        |      |
-    | segments | `Segments` at the end of the step                                  |        |      |
-    | start    | centre at the start of the step                                    | (n, 2) | m    |
-    | place    | centre at the start of the piece                                   | (n, 2) | m    |
-    | since    | time at the start of the piece                                     | (n,)   | –    |
-    | rate     | displacement in a whole step                                       | (n, 2) | m    |
-    | inverse  | inverse mass                                                       | (n,)   | 1/kg |
-    | held     | `FREE`, `CARRIED` or `FIRM`                                        | (n,)   | –    |
-    | block    | unit vector to the body that holds the circle                      | (n, 2) | –    |
-    | touches  | number of changes of the path                                      | (n,)   | –    |
-    | searches | whether the circle searches walls and segments, and other circles  | (n, 2) | –    |
+    | field    | meaning                                                             | shape  | unit |
+    |----------|---------------------------------------------------------------------|--------|------|
+    | step     | `StepInput` of the step, whose bodies are at the end of the step    |        |      |
+    | segments | `Segments` at the end of the step                                   |        |      |
+    | start    | centre at the start of the step                                     | (n, 2) | m    |
+    | place    | centre at the start of the last piece                               | (n, 2) | m    |
+    | since    | time at the start of the last piece                                 | (n,)   | –    |
+    | rate     | rate of the last piece: its displacement if it lasted a whole step  | (n, 2) | m    |
+    | inverse  | inverse mass                                                        | (n,)   | 1/kg |
+    | held     | `FREE`, `CARRIED` or `FIRM`                                         | (n,)   | –    |
+    | block    | unit vector to the body that the circle has met last, if not `FREE` | (n, 2) | –    |
+    | touches  | number of times that the path has changed                           | (n,)   | –    |
+    | searches | whether to search touches with walls and segments; with circles     | (n, 2) | –    |
     """
 
     step: NamedTuple
@@ -49,7 +52,10 @@ class Paths(NamedTuple):
 
 @njit(cache=True)
 def make_paths(step, segments, start):
-    """The `Paths` of a step before any touch. start: centres at the start of the step, (n, 2), m."""
+    """Return the `Paths` of a step before any touch.
+
+    step: `StepInput`. segments: `Segments` at the end of the step. start: centres at the start of the step, (n, 2), m.
+    """
     bodies, n = step.bodies, step.bodies.mass.shape[0]
     rate = moved(bodies.position, start, -1.0)
     return Paths(
@@ -60,7 +66,7 @@ def make_paths(step, segments, start):
 
 @njit(cache=True)
 def moved(points, by, share):
-    """points + share · by, (n, 2) each. The loop compiles in less time than NumPy's expression."""
+    """Return points + share · by. points, by: (n, 2). This loop takes less time to compile than NumPy's expression."""
     result = np.empty_like(points)
     for i in range(points.shape[0]):
         for axis in range(2):
@@ -70,23 +76,26 @@ def moved(points, by, share):
 
 @njit(inline="always")
 def place_at(paths, i, time):
-    """Centre (x, y) of circle i at a time of the last piece of its path, m."""
+    """Return the centre (x, y) of circle i, m, at a time within the last piece of its path, in units of the step."""
     flown = time - paths.since[i]
     return paths.place[i, 0] + flown * paths.rate[i, 0], paths.place[i, 1] + flown * paths.rate[i, 1]
 
 
 class Swept(NamedTuple):
-    """Broad phase of paths: boxes around their last pieces, sorted into cells by the middles of their first pieces."""
+    """Search structure for the paths of n circles: a box around the last piece of each path, in a grid of cells.
 
-    start: np.ndarray  # of `Cells`
-    order: np.ndarray  # of `Cells`
+    Each circle belongs to the cell that contains the middle of the first piece of its path.
+    """
+
+    start: np.ndarray  # `Cells.start` of the grid
+    order: np.ndarray  # (n,): `Cells.order` of the grid: indices of the circles, sorted by cell
     rank: np.ndarray  # (n,): place of each circle in `order`
     middle: np.ndarray  # (n, 2): middle of the first piece of each path, m
-    box: np.ndarray  # (n, 4): x_min, x_max, y_min, y_max of each box, m, in the order of `order`
-    farthest: np.ndarray  # (2,): largest distances of the sides of a box from the middle of its path, m
-    grid: np.ndarray  # of `Cells`
-    found: np.ndarray  # (n,): buffer for circles
-    times: np.ndarray  # (n,): buffer for times of touches
+    box: np.ndarray  # (n, 4): x_min, x_max, y_min, y_max of each box, m, in the sequence of `order`
+    farthest: np.ndarray  # (2,): largest distance of a side of any box from its `middle`, along x and y, m
+    grid: np.ndarray  # `Cells.grid` of the grid
+    found: np.ndarray  # (n,): buffer for indices of circles
+    times: np.ndarray  # (n,): buffer for times of touches, in units of the step
 
 
 _make_cells = njit(cache=True)(make_cells)
@@ -94,7 +103,7 @@ _make_cells = njit(cache=True)(make_cells)
 
 @njit(cache=True, error_model="numpy")
 def sort_swept(paths):
-    """The `Swept` of paths at the start of a step."""
+    """Return the `Swept` of paths at the start of a step."""
     n = paths.step.bodies.radius.shape[0]
     cells, rank = _make_cells(n), np.empty(n, np.int64)
     middle = moved(paths.start, paths.rate, 0.5)
@@ -111,7 +120,7 @@ def sort_swept(paths):
 
 @njit(cache=True, _nrt=False)
 def follow(i, paths, swept):
-    """Put the box of circle i around the last piece of its path, in place."""
+    """Put the box of circle i around the last piece of its path, in place. The piece may have changed."""
     radius, k, rest = paths.step.bodies.radius[i], swept.rank[i], 1.0 - paths.since[i]
     for axis in range(2):
         x, middle = paths.place[i, axis], swept.middle[i, axis]
@@ -123,9 +132,10 @@ def follow(i, paths, swept):
 
 @njit(inline="always")
 def crossing_paths(i, now, paths, swept):
-    """Find the circles whose boxes cross the path of circle i from time `now` on. No other circle can touch it.
+    """Find the circles whose boxes overlap the box of the path of circle i from time `now` on.
 
-    Returns their number. Their indices are the first elements of `Swept.found`.
+    No other circle can touch circle i. Returns the number of circles found. Their indices are the first elements of
+    `Swept.found`.
     """
     radius, (x, y) = paths.step.bodies.radius[i], place_at(paths, i, now)
     to_x, to_y = place_at(paths, i, 1.0)
@@ -133,7 +143,7 @@ def crossing_paths(i, now, paths, swept):
     y_min, y_max = min(y, to_y) - radius, max(y, to_y) + radius
     grid, box, found, count = swept.grid[0], swept.box, swept.found, 0
     columns, per_metre, (far_x, far_y) = grid["columns"], grid["per_metre"], swept.farthest
-    # Rounding is less than a cell's millionth.
+    # Rounding errors are smaller than a millionth of a cell.
     left = int(max((x_min - far_x - grid["x"]) * per_metre - 1e-6, 0.0))
     right = int(min((x_max + far_x - grid["x"]) * per_metre + 1e-6, columns - 1.0))
     low = int(max((y_min - far_y - grid["y"]) * per_metre - 1e-6, 0.0))

@@ -1,4 +1,7 @@
-"""The border of the engine: states are checked and completed here, and only here."""
+"""Check and complete states before the engine gets them. No other module of the engine checks a state.
+
+Tests: tests/stepping/test_algorithm.py
+"""
 
 from __future__ import annotations
 
@@ -21,17 +24,18 @@ _FINITE = (-np.finfo(np.float64).max, np.finfo(np.float64).max)
 _SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.normal_start"][:2]
 
 _KINDS = [(array.dtype, array.ndim) for array in (*make_bodies([[0.0, 0.0]]), *no_contacts())]
-"""Data type and number of dimensions of each array of bodies and contacts."""
+"""Data type and number of dimensions of each array of `Bodies` and `Contacts`, in their sequence."""
 
 COINCIDENT = 0.1
-"""Distance of two centres, in the smaller radius, below which `simulate` warns."""
+"""Distance of the centres of two circles below which `simulate` warns, divided by the smaller radius."""
 
 
 def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
-    """The state, checked and completed: valid, within limits, with contacts, and with arrays for compiled code.
+    """Return the state, checked and completed.
 
-    of_step: whether to keep those contacts of a solved state that came during its step.
-    Raises ValueError naming the quantity and the value, and the limit if the value is beyond `state.arrays.LIMITS`.
+    The result is valid and within `state.arrays.LIMITS`. It has contacts, and its arrays have the types that compiled
+    code takes. of_step: whether a solved state keeps the contacts that appeared during its step. Raises ValueError,
+    which names the quantity, its value, and the limit if the value is beyond it.
     """
     check_types(state)
     if not (has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
@@ -48,10 +52,10 @@ def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
 
 
 def find_contacts(state: State) -> StateWithContacts:
-    """The state with the contacts at its positions. No impulses are solved.
+    """Return the state with the contacts at its positions, without solving their impulses.
 
-    Pairs that were contacts of the state keep their impulses; new pairs have impulses of 0. A solved state stays solved
-    if no contact comes or goes. Raises ValueError on a state that is not valid.
+    A pair that was already a contact of the state keeps its impulses. A new pair has impulses of 0. A solved state
+    stays solved if no contact appears or disappears. Raises ValueError if the state is not valid.
     """
     old = ready(state)
     if state.contacts is None:
@@ -68,7 +72,10 @@ def find_contacts(state: State) -> StateWithContacts:
 
 
 def _at_its_begin(state: StateWithContacts) -> StateWithContacts:
-    """The solved state without contacts that came during its step: those that started from 0 and do not touch yet."""
+    """Return the solved state without the contacts that appeared during its step.
+
+    These are contacts whose starting impulses are 0 and whose bodies do not touch at the positions of the state.
+    """
     contacts, n = state.contacts, state.bodies.count
     later = (contacts.normal_start == 0.0) & (contacts.tangent_start == 0.0)
     if later.any():
@@ -79,7 +86,7 @@ def _at_its_begin(state: StateWithContacts) -> StateWithContacts:
 
 
 def _warn_of_coincidence(state: StateWithContacts) -> None:
-    """Warn if two circles of a scene nearly coincide, so that chance decides the direction in which they separate."""
+    """Warn if two circles nearly coincide, so that chance decides the direction in which they separate."""
     bodies, (a, b), n = state.bodies, state.contacts[:2], state.bodies.count
     a, b = a[b < n], b[b < n]
     apart = np.hypot(*(bodies.position[b] - bodies.position[a]).T)
@@ -91,7 +98,7 @@ def _warn_of_coincidence(state: StateWithContacts) -> None:
 
 
 def _warn_of_outside(state: StateWithContacts) -> None:
-    """Warn if circles of a scene have centres outside of the box: its walls pull them in, through other circles."""
+    """Warn if free circles have their centres outside of the box. The walls pull them in, through other circles."""
     position, box = state.bodies.position, state.world.box
     is_outside = ((position < box[:2]) | (position > box[2:])).any(axis=1)
     outside = np.flatnonzero(is_outside & ~state.bodies.is_fixed)
@@ -102,7 +109,10 @@ def _warn_of_outside(state: StateWithContacts) -> None:
 
 
 def has_engine_arrays(state: State) -> bool:
-    """Whether all arrays have the types that compiled functions take. `check_state` gives them these types."""
+    """Return whether all arrays of a state have the types that compiled functions take.
+
+    `check_state` gives the arrays these types.
+    """
     return state.contacts is not None and all(
         type(array) is np.ndarray and array.dtype == dtype and array.ndim == ndim and array.flags.carray
         for array, (dtype, ndim) in zip((*state.bodies, *state.contacts), _KINDS)
@@ -111,7 +121,7 @@ def has_engine_arrays(state: State) -> bool:
 
 @njit(cache=True)
 def is_valid(bodies, contacts, segments=0):
-    """Whether arrays of the right types pass `check_state` and `check_limits`. segments: their number."""
+    """Return whether arrays of the right types pass `check_state` and `check_limits`. segments: number of segments."""
     n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
     end = n + 4 + segments
     for values, count, limits in (
@@ -130,7 +140,7 @@ def is_valid(bodies, contacts, segments=0):
             return False
     if contacts.body_b.shape[0] != m:
         return False
-    # Loops without branches vectorise. They need no early end, since a valid state is read to the end anyway.
+    # Loops without branches are vectorised. To leave them early would save nothing, since nearly all states are valid.
     valid, (lightest, heaviest) = True, _MASS
     for i in range(n):
         valid &= (lightest <= bodies.mass[i]) & ((bodies.mass[i] <= heaviest) | (bodies.mass[i] == np.inf))
@@ -147,7 +157,7 @@ def is_valid(bodies, contacts, segments=0):
 
 @njit(cache=True)
 def _within(values, limits):
-    """Whether all values, (k,), lie within the limits; NaN does not."""
+    """Return whether all values, (k,), lie within the limits (low, high). NaN does not."""
     low, high = limits
     inside = True
     for i in range(values.shape[0]):

@@ -1,6 +1,8 @@
-"""The contact problem of one step, built and solved by itself.
+"""Build and solve the contact problem of one step on its own, without doing the step.
 
-Starts, exact solutions and errors of solutions are made from it.
+Starts, exact solutions and errors of solutions are computed from this problem. A state has n circles and m contacts.
+
+Tests: tests/solvers/test_solvers.py
 """
 
 from __future__ import annotations
@@ -40,7 +42,12 @@ from deep_contact.stepping.segment_grid import segments_in_grid
 
 @njit(cache=True, error_model="numpy")
 def solve_velocities(rows, friction, settings, solver_bodies, theta):
-    """Solve the rows of a step, in place on their impulses and on the solver bodies. Returns the number of sweeps."""
+    """Solve the rows of a step, in place on their impulses and on the solver bodies. Returns the number of sweeps.
+
+    rows: `Rows`. friction: μ, or None for rows without tangents. settings: settings of the solver. solver_bodies:
+    velocities before the impulses of the rows, (N, 4). theta: buffer for the θ of each sweep, N·s; its length is the
+    largest number of sweeps.
+    """
     apply_impulses(rows, solver_bodies, friction)
     sweeps, _ = relax(settings, rows, friction, solver_bodies, theta, make_workspace(settings, rows, solver_bodies))
     return sweeps
@@ -48,9 +55,10 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def build_rows(step, contacts, solver_bodies, actuation):
-    """Fill the solver bodies of a step, after its impacts, and return its rows.
+    """Fill the solver bodies of a step, after its impacts, and return the step's rows.
 
-    step: `StepInput`. actuation: `Actuation` of the step, or None.
+    step: `StepInput`. contacts: `Contacts`. solver_bodies: (N, 4), filled in place. actuation: `Actuation` of the step,
+    or None.
     """
     integrate_velocities(step.bodies, step.gravity, step.dt, solver_bodies, actuation)
     buffer, radius = more_rows(contacts.body_a.shape[0], step.friction), step.bodies.radius
@@ -62,15 +70,15 @@ def build_rows(step, contacts, solver_bodies, actuation):
 
 @by_value
 class ContactSolution(NamedTuple):
-    """Solution of a contact problem, as a solver left it.
+    """Solution of a contact problem by a solver.
 
-    | field              | meaning                                | shape  | unit  |
-    |--------------------|----------------------------------------|--------|-------|
-    | normal_impulses    | λ_n                                    | (m,)   | N·s   |
-    | tangent_impulses   | λ_t                                    | (m,)   | N·s   |
-    | velocities         | of the circles, after the solve        | (n, 2) | m/s   |
-    | angular_velocities | of the circles, after the solve        | (n,)   | rad/s |
-    | record             | `ConvergenceRecord` of the sweeps      |        |       |
+    | field              | meaning                                       | shape  | unit  |
+    |--------------------|-----------------------------------------------|--------|-------|
+    | normal_impulses    | λ_n of each contact                           | (m,)   | N·s   |
+    | tangent_impulses   | λ_t of each contact                           | (m,)   | N·s   |
+    | velocities         | velocity of each circle after the solve       | (n, 2) | m/s   |
+    | angular_velocities | spin of each circle after the solve           | (n,)   | rad/s |
+    | record             | `ConvergenceRecord` of the sweeps             |        |       |
     """
 
     normal_impulses: np.ndarray
@@ -84,18 +92,22 @@ class ContactSolution(NamedTuple):
 
 
 class StepProblem(NamedTuple):
-    """The contact problem of a state's next step, after its impacts, built once for the start and for the step."""
+    """The contact problem of the next step of a state, after the impacts of that step.
 
-    rows: Rows  # with the impulses that the state starts from
-    solver_bodies: np.ndarray  # (n + 4 + contacts with moving segments, 4): after gravity, before impulses
-    friction: float | None  # μ, or None where there are no tangent rows (`started`)
-    impacts: np.ndarray  # (m, 2): impulses on the second bodies of the contacts in the impacts, N·s; (0, 2) if e = 0
+    It is built once, and serves both to find a start and to do the step.
+    """
+
+    rows: Rows  # with the impulses from which the state starts
+    solver_bodies: np.ndarray  # (n + 4 + k, 4), with k contacts of moving segments: after forces, before impulses
+    friction: float | None  # μ, or None if there are no tangent rows (`started`)
+    impacts: np.ndarray  # (m, 2): impulses of the impacts on the second bodies of the contacts, N·s; (0, 2) if e = 0
 
 
 def after_impacts(state: State) -> tuple[State, np.ndarray]:
-    """(State, impulses): the state with the velocities after the impacts of its next step, and the impacts' impulses.
+    """Return (state, impulses): the state after the impacts of its next step, and the impulses of these impacts.
 
-    The impulses are `StepProblem.impacts`. If e = 0 there are no impacts, and the state itself is returned.
+    Only velocities and spins change. The impulses are those of `StepProblem.impacts`. If e = 0 there are no impacts,
+    and the state itself is returned.
     """
     if state.world.restitution == 0.0:
         return state, np.zeros((0, 2))
@@ -107,7 +119,10 @@ def after_impacts(state: State) -> tuple[State, np.ndarray]:
 
 
 def step_problem(state: State, scales: ContactScales | None = None) -> StepProblem:
-    """The contact problem of the next step, with tangent rows. scales: those of the state, if at hand."""
+    """Return the contact problem of the next step of a state, with tangent rows.
+
+    scales: `ContactScales` to use; by default those of the state.
+    """
     state, impacts = after_impacts(state)
     solver_bodies, step = np.empty((state.bodies.count + 4, 4)), step_input(state, None, scales)
     if step.actuation is not None:
@@ -117,9 +132,9 @@ def step_problem(state: State, scales: ContactScales | None = None) -> StepProbl
 
 
 def started(problem: StepProblem, contacts: Contacts, friction: float | None) -> StepProblem:
-    """The problem with the starting impulses of these contacts; without tangent rows if friction is None.
+    """Return the problem with the starting impulses of these contacts.
 
-    problem: with tangent rows.
+    problem: problem with tangent rows. friction: μ, or None for a result without tangent rows.
     """
     data, impulse = problem.rows.data, np.empty((contacts.count, 2))
     impulse[:, NORMAL], impulse[:, TANGENT] = contacts.normal_start, contacts.tangent_start
@@ -129,31 +144,32 @@ def started(problem: StepProblem, contacts: Contacts, friction: float | None) ->
 
 
 def contacts_of(state: State) -> Contacts:
-    """The contacts at the state's positions, with zero impulses."""
+    """Return the contacts at the positions of a state, with impulses of 0."""
     bodies, world, scales = native(state).bodies, state.world, state.scales
     segments = segments_in_grid(world, reach_of(state, scales)) if world.segments else None
     mass, n = bodies.mass if bodies.is_fixed.any() else None, bodies.count
     walls, cells = Walls(world.box, scales.wall_skin), make_cells(n)
     buffer = make_contacts(4 * n + 64)
     found = detect_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
-    # Bodies and geometry are copied, since they lie in a larger buffer. The four arrays of impulses are set to zero.
+    # The first five arrays are copied, since they lie in a larger buffer. The four arrays of impulses are set to zero.
     return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
 
 
 def solve(
     state: State, solver, normal_start: np.ndarray, tangent_start: np.ndarray, problem: StepProblem | None = None
 ) -> ContactSolution:
-    """Solve the contact problem of a state from starting impulses, (m,) each, N·s. The state stays as it is.
+    """Solve the contact problem of a state from starting impulses, without changing the state.
 
-    If e > 0 the impacts come first: the solution's velocities include their effect, but its impulses do not include
-    theirs. problem: `step_problem(state)`, if at hand; it stays as it is.
+    If e > 0, impacts come first. The velocities of the solution include their effect, but its impulses do not include
+    those of the impacts. solver: options of the solver. normal_start, tangent_start: starting λ_n and λ_t, (m,) each,
+    N·s. problem: `step_problem(state)` if it has been built already; it is not changed.
     """
     solver = solver.for_state(state)
     settings, n = entry_of(solver).settings(solver), state.bodies.count
     state = state.replace(contacts=state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start))
     friction = None if leaves_tangents_out(state, solver) else state.world.friction
     rows, solver_bodies, *_ = started(problem or step_problem(state), state.contacts, friction)
-    # Relaxation scales effective masses in place.
+    # Copies, because the solver scales the effective masses in place.
     rows, solver_bodies, theta = rows._replace(data=rows.data.copy()), solver_bodies.copy(), np.empty(solver.sweeps)
     sweeps = solve_velocities(rows, friction, settings, solver_bodies, theta)
     impulse = rows.impulse

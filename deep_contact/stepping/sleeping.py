@@ -1,15 +1,18 @@
-"""Sleeping: islands at rest are left as they are, by the rule of Box2D 2.3, until something touches them.
+"""Sleeping: islands at rest are left as they are until something touches them. The rule is that of Box2D 2.3.
 
-A circle is still while its speed and spin are at most `sleep_speed` and `sleep_spin` of the `ContactScales`. An
-island falls asleep once all of its circles have been still for `sleep_time`, none of them accelerates, and none of its
-contacts needs position correction. The velocities of its circles then become 0, and its contacts keep their impulses
-until it wakes. It wakes as a whole when a circle that is awake touches it, or when the external force on one of its
-circles changes. Contacts are searched among all circles, unless all circles sleep. A new run starts with all circles
-awake.
+An island is a group of circles that touch each other, directly or through other circles. A circle is still while its
+speed and spin are at most `sleep_speed` and `sleep_spin` of the `ContactScales`. An island falls asleep once all of its
+circles have been still for `sleep_time` and do not accelerate. An island stays awake
+if one of its contacts needs position correction, or if it touches a moving segment or a segment whose surface moves.
+When an island falls asleep, the velocities of its circles become 0. Its contacts keep their impulses until it wakes.
 
-Box2D does not test the acceleration, so a ball on a slope of 0.003 falls asleep there. Here each circle's displacement
-in half a sleep time is compared with its displacement in the half before. This happens twice in a sleep time, and only
-then do islands fall asleep.
+An island wakes as a whole when a circle that is awake or a moving segment touches it, or when the external force on one
+of its circles changes. Contacts are searched among all circles, unless all circles sleep. A new run starts with all
+circles awake.
+
+Box2D does not test the acceleration, so that a ball on a slope of 0.003 falls asleep there. Here each circle's
+displacement in half a sleep time is compared with its displacement in the half before. This comparison takes place
+twice in a sleep time. Islands fall asleep only at such a time.
 """
 
 from __future__ import annotations
@@ -28,30 +31,32 @@ from deep_contact.stepping.rows import INVERSE_MASS
 from deep_contact.stepping.segments import has_moving, moves
 
 STEADY = 0.02
-"""Largest difference of these two displacements of a circle that does not accelerate, in `sleep_speed` times
-`sleep_time`. A ball on a slope of 2.4e-4 reaches it."""
+"""Largest difference of two displacements at which a circle does not count as accelerating.
+
+The displacements are those of the circle in two successive halves of a sleep time. The unit is `sleep_speed` times
+`sleep_time`. A ball on a slope of 2.4e-4 reaches this difference."""
 
 
 class SleepMemory(NamedTuple):
-    """Sleep of n circles, and buffers."""
+    """What steps remember of the sleep of n circles, and work arrays."""
 
-    still: np.ndarray  # (n,): time for which a circle has been still, s; infinite while it sleeps
-    place: np.ndarray  # (2, n, 2): positions at the last comparison, and at the comparison before, m
+    still: np.ndarray  # (n,): time for which each circle has been still, s; infinite while the circle sleeps
+    place: np.ndarray  # (2, n, 2): positions at the last comparison and at the comparison before it, m
     clock: np.ndarray  # (1,): time since the last comparison, s
-    active: Contacts  # buffer for the `Contacts` of circles that are awake
-    parent: np.ndarray  # (n,): buffer: union-find of the islands
-    shortest: np.ndarray  # (n,): buffer: least `still` of each island, s
-    force: np.ndarray  # (n, 2): external force in the last step in which a circle was awake (`wake_pushed`), N
-    torque: np.ndarray  # (n,): external torque in that step, N·m
+    active: Contacts  # work array: contacts of circles that are awake
+    parent: np.ndarray  # (n,): work array: union-find forest of the islands (`islands`)
+    shortest: np.ndarray  # (n,): work array: least `still` of each island, s
+    force: np.ndarray  # (n, 2): external force in the last step in which the circle was awake (`wake_pushed`), N
+    torque: np.ndarray  # (n,): external torque in the same step, N·m
 
     @property
     def remembered(self) -> tuple[np.ndarray, ...]:
-        """The arrays that a step passes on to the next: all but the buffers."""
+        """The arrays whose content a step passes on to the next step: all except the work arrays."""
         return self.still, self.place, self.clock, self.force, self.torque
 
 
 def make_sleep_memory(n: int, capacity: int) -> SleepMemory:
-    """A `SleepMemory` of n circles, all awake, with a buffer for `capacity` contacts."""
+    """Return a `SleepMemory` of n circles, all awake, with a work array for `capacity` contacts."""
     place, clock = np.full((2, n, 2), np.nan), np.full(1, np.inf)
     buffers = make_contacts(capacity), np.empty(n, np.int64), np.empty(n)
     return SleepMemory(np.zeros(n), place, clock, *buffers, np.zeros((n, 2)), np.zeros(n))
@@ -59,7 +64,7 @@ def make_sleep_memory(n: int, capacity: int) -> SleepMemory:
 
 @njit(inline="always")
 def all_asleep(sleep, actuation):
-    """Whether all circles sleep and no segment moves. sleep: `SleepMemory`, or None if no circle may sleep."""
+    """Return whether all circles sleep and no segment moves. sleep: `SleepMemory`, or None if no circle may sleep."""
     if sleep is None:
         return False
     if has_moving(actuation):
@@ -72,10 +77,10 @@ def all_asleep(sleep, actuation):
 
 @njit(cache=True, error_model="numpy")
 def wake_pushed(contacts, sleep, step):
-    """Wake, in place, the islands of sleeping circles whose external force has changed since they fell asleep.
+    """Wake the islands of sleeping circles whose external force has changed since they fell asleep, in place.
 
-    If the change accelerates a free circle by less than `look_at_places` detects, the circle sleeps on. contacts: at
-    the bodies' positions. step: `StepInput` with the external force of the next step.
+    A free circle sleeps on if the change accelerates it by less than `look_at_places` can detect. contacts: contacts at
+    the positions of the bodies. step: `StepInput` with the external forces of the next step.
     """
     bodies, scales, actuation, n = step.bodies, step.scales, step.actuation, sleep.still.shape[0]
     most, is_any = 4.0 * STEADY * scales.sleep_speed / scales.sleep_time, False
@@ -102,7 +107,11 @@ def wake_pushed(contacts, sleep, step):
 
 @njit(inline="always")
 def awake_contacts(contacts, sleep):
-    """Contacts of circles that are awake, in the buffer, with the fields that a step reads; all if `sleep` is None."""
+    """Return the contacts of circles that are awake, with those fields that a step reads.
+
+    The result lies in `SleepMemory.active`, or in a larger buffer. If `sleep` is None, the contacts themselves are
+    returned.
+    """
     if sleep is None:
         return contacts
     still, buffer, m = sleep.still, sleep.active, 0
@@ -122,7 +131,10 @@ def awake_contacts(contacts, sleep):
 
 @njit(inline="always")
 def store_awake_impulses(active, contacts, sleep):
-    """Write the solved impulses of the active contacts into all contacts, in place: the inverse of `awake_contacts`."""
+    """Write the solved impulses of the contacts of awake circles into the list of all contacts, in place.
+
+    active: result of `awake_contacts`. contacts: all contacts. sleep: `SleepMemory`, or None if no circle may sleep.
+    """
     if sleep is None:
         return
     j = 0
@@ -135,7 +147,7 @@ def store_awake_impulses(active, contacts, sleep):
 
 @njit(inline="always")
 def stop_sleeping(solver_bodies, sleep):
-    """Set the velocities of sleeping circles, to which gravity was added, back to 0, in place."""
+    """Set the velocities of sleeping circles in `solver_bodies`, to which gravity was added, back to 0, in place."""
     if sleep is None:
         return
     for i in range(sleep.still.shape[0]):
@@ -145,9 +157,11 @@ def stop_sleeping(solver_bodies, sleep):
 
 @njit(cache=True)
 def look_at_places(sleep, position, dt, scales):
-    """Advance the clock by Δt, in place. Returns whether half a sleep time is over, so that islands may fall asleep.
+    """Advance the clock by Δt, in place, and compare displacements if half a sleep time is over.
 
-    If so, circles that accelerate lose the time for which they have been still, except half a sleep time.
+    Returns whether displacements were compared: only then may islands fall asleep. For a circle that accelerates, the
+    time for which it has been still is reduced to at most half a sleep time. sleep: `SleepMemory`. position: (n, 2), m.
+    dt: Δt, s. scales: `ContactScales`.
     """
     sleep.clock[0] += dt
     if sleep.clock[0] < 0.5 * scales.sleep_time:
@@ -166,11 +180,11 @@ def look_at_places(sleep, position, dt, scales):
 
 @njit(cache=True)
 def wake_and_put_to_sleep(step, contacts, sleep, actuation):
-    """Update the times for which circles have been still after Δt, wake islands and put islands to sleep, in place.
+    """Wake islands and put islands to sleep at the end of a substep, in place.
 
-    A fixed circle is still if it does not move at all. An island that touches a moving segment is awake. contacts: at
-    the bodies' positions. sleep: `SleepMemory`, or None if no circle may sleep. actuation: `Actuation` of the step, or
-    None.
+    The times for which circles have been still are updated first. A fixed circle is still only if it does not move at
+    all. An island that touches a moving segment is awake. step: `StepInput`. contacts: contacts at the positions of the
+    bodies. sleep: `SleepMemory`, or None if no circle may sleep. actuation: `Actuation` of the step, or None.
     """
     if sleep is None:
         return

@@ -1,12 +1,13 @@
-"""The division of a step by motion, beyond the substeps that a solver asks for.
+"""Divide a step by motion, beyond the substeps that a solver asks for.
 
-Motion divides a step if a circle is about to hit something. With v the fastest approach that closes its gap within the
-Δt of the solver's substep, this substep is divided into the least power of two k with v Δt / k ≤ reach. A circle that
-hits then penetrates by no more than the reach before a contact stops it. v Δt / reach is a Courant number of motion.
+A step has as many equal substeps as the solver asks for, each of duration Δt. Motion divides such a substep if a circle
+is about to hit something in it. Let v be the fastest approach that closes a gap within Δt. The substep is then divided
+into the least power of two k for which v Δt / k ≤ reach (`Motion.reach`, m). A circle that hits something therefore
+penetrates by no more than the reach before a contact stops it. The ratio v Δt / reach is a Courant number of motion.
 
-The choice depends on positions, velocities and Δt alone, so that a run that is read back goes on bit for bit; division
-by a power of two scales impulses exactly. Weakness: the fastest pair decides for the whole scene, and accelerations by
-contacts within the step are not foreseen.
+The division depends only on positions, velocities and Δt. A run that is continued from a file is therefore the same bit
+for bit. To divide by a power of two changes impulses without rounding. Weakness: the fastest pair decides for the whole
+scene, and accelerations by contacts within the step are not foreseen.
 """
 
 from __future__ import annotations
@@ -26,7 +27,11 @@ from deep_contact.stepping.segments import wall_velocity
 
 @njit(cache=True, error_model="numpy")
 def divide_by_motion(context, log, actuation):
-    """Divide the solver's next substep by motion, in place on `StepContext.substep`."""
+    """Divide the solver's next substep by motion, in place on `StepContext.substep`.
+
+    Velocities of circles in flight are corrected for the change of Δt (`fly_on`). log: `StepLog`. actuation:
+    `Actuation` of the step, or None.
+    """
     step = context.step
     if actuation is not None:
         step = substep_of(step, context.substep.segments)
@@ -38,9 +43,10 @@ def divide_by_motion(context, log, actuation):
 
 @njit(cache=True, error_model="numpy")
 def fly_on(context, change, log, actuation):
-    """Correct the velocities of circles in flight for a change of Δt (`shift_flights`), in place.
+    """Correct the velocities of circles in flight for a change of Δt, in place (`shift_flights`).
 
-    The correction is needed where e > 0 and motion has divided the solver's substep. change: decrease of Δt, s.
+    The correction is done only if e > 0 and motion has divided the solver's substep. change: decrease of Δt, s. log:
+    `StepLog`. actuation: `Actuation` of the step, or None.
     """
     step = context.step
     if context.substep.substeps > step.substeps and step.restitution > 0.0:
@@ -49,7 +55,7 @@ def fly_on(context, change, log, actuation):
 
 @njit(cache=True, error_model="numpy")
 def substeps_by_motion(step, cells, actuation):
-    """Number of substeps into which motion divides the solver's next substep: a power of two.
+    """Return the number of parts into which motion divides the solver's next substep: a power of two.
 
     step: `StepInput`. cells: `Cells`, overwritten. actuation: `Actuation` of the step, or None.
     """
@@ -71,9 +77,10 @@ def substeps_by_motion(step, cells, actuation):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def fastest_possible(velocity, gravity, dt):
-    """(pairs, walls): upper bounds on the approach of two circles, and of a circle to resting bodies, within Δt, m/s.
+    """Return (pairs, walls), m/s: upper bounds on speeds of approach within Δt.
 
-    velocity: (n, 2), m/s.
+    pairs: bound for two circles. walls: bound for a circle and a body at rest. velocity: (n, 2), m/s. gravity: (g_x,
+    g_y), m/s². dt: Δt, s.
     """
     x_min = x_max = velocity[0, 0]
     y_min = y_max = velocity[0, 1]
@@ -86,7 +93,7 @@ def fastest_possible(velocity, gravity, dt):
 
 @njit(cache=True)
 def fastest_wall(actuation):
-    """The speed of the fastest end of a moving segment, m/s; 0 without one."""
+    """Return the speed of the fastest end of a moving segment, m/s; 0 if no segment moves."""
     speed = 0.0
     if actuation is not None:
         for s in actuation.moving:
@@ -97,7 +104,10 @@ def fastest_wall(actuation):
 
 @njit(cache=True, error_model="numpy")
 def fastest_onto_walls(step, fastest, actuation):
-    """The fastest approach that closes a gap between circle and wall or segment within Δt, m/s; at least `fastest`."""
+    """Return the fastest approach of a circle to a wall or segment that closes the gap between them within Δt, m/s.
+
+    The result is at least `fastest`, m/s. step: `StepInput`. actuation: `Actuation` of the step, or None.
+    """
     bodies, box, segments, dt, skin = step.bodies, step.box, step.segments, step.dt, step.scales.wall_skin
     buffer, start, grid, speed = np.empty_like(segments.every), segments.start, segments.grid, fastest_wall(actuation)
     for i in range(bodies.mass.shape[0]):
@@ -111,7 +121,7 @@ def fastest_onto_walls(step, fastest, actuation):
             approach = v_x * WALL_NORMALS[wall, 0] + v_y * WALL_NORMALS[wall, 1]
             if approach > fastest and wall_gap(x, y, box, wall) - reach < approach * dt:
                 fastest = approach
-        # A segment whose gap closes within Δt lies within reach of the places to which the circle can come.
+        # A gap can close within Δt only if the segment lies within reach of a place to which the circle can come.
         far = dt * (math.sqrt(v_x * v_x + v_y * v_y) + speed)
         if is_free(start, grid, x - far, x + far, y - far, y + far):
             continue
@@ -128,10 +138,11 @@ def fastest_onto_walls(step, fastest, actuation):
 
 @njit(cache=True, error_model="numpy")
 def fastest_pair(step, cells, gap, fastest):
-    """The fastest approach that closes the gap of two circles within Δt, m/s; at least `fastest`.
+    """Return the fastest approach of two circles that closes the gap between them within Δt, m/s.
 
-    gap: m; circles that are farther apart do not meet within Δt. The pairs come from the list of near pairs, if it
-    covers this gap or pays to be made, and otherwise from a search.
+    The result is at least `fastest`, m/s. gap: largest gap of two circles that can meet within Δt, m. Pairs are taken
+    from the list of near pairs, if the list has all pairs up to this gap or if it pays to make such a list. Otherwise
+    the pairs are searched in cells. step: `StepInput`. cells: `Cells`.
     """
     position, radius = step.bodies.position, step.bodies.radius
     if refresh_list(position, radius, cells, gap):
@@ -147,13 +158,13 @@ def fastest_pair(step, cells, gap, fastest):
 
 @njit(cache=True, error_model="numpy")
 def fastest_of(step, a, near, first, last, fastest):
-    """`fastest_pair` for circle a and the circles near[first:last]."""
+    """Do `fastest_pair` for circle a and the circles near[first:last]."""
     position, velocity, radius, dt = step.bodies.position, step.bodies.velocity, step.bodies.radius, step.dt
     x, y, v_x, v_y, r = position[a, 0], position[a, 1], velocity[a, 0], velocity[a, 1], radius[a]
     for k in range(first, last):
         b = near[k]
         d_x, d_y = position[b, 0] - x, position[b, 1] - y
-        # Approach times distance, so that few pairs need a root.
+        # Speed of approach times distance, so that only few pairs need a square root.
         closing = (v_x - velocity[b, 0]) * d_x + (v_y - velocity[b, 1]) * d_y
         square = d_x * d_x + d_y * d_y
         if closing > 0.0 and closing * closing > fastest * fastest * square:
@@ -167,10 +178,11 @@ def fastest_of(step, a, near, first, last, fastest):
 def shift_flights(bodies, contacts, gravity, change, actuation, shifts):
     """Shift the velocities of circles in flight, in place, so that their flight goes on although Δt changes.
 
-    Symplectic Euler is a leapfrog: velocities are those of half a step before. Each bounce is divided on the way down
-    and not on the way up, and without the shift it would change the energy. A circle on which a contact pushes is not
-    shifted, since it has to keep v = 0; a contact without an impulse has just begun, or is ending.
-    change: decrease of Δt, s. The changes of momentum are added to shifts, (n, 2), N·s, if these are logged.
+    Symplectic Euler is a leapfrog: velocities are those of half a step before the positions. At a bounce, motion
+    divides the step on the way down and not on the way up. Without the shift, each bounce would change the energy. A
+    circle on which a contact pushes is not shifted, because it has to keep v = 0. A contact without an impulse does not
+    count, because it has just begun or is ending. gravity: (g_x, g_y), m/s². change: decrease of Δt, s. The change of
+    momentum of each circle is added to shifts, (n, 2), N·s, if the log stores it.
     """
     n = bodies.mass.shape[0]
     held = np.zeros(n + 1, np.bool_)

@@ -1,4 +1,9 @@
-"""Times at which the path of a circle touches a wall, a segment or another path.
+"""Compute the times at which the path of a circle touches a wall, a segment or the path of another circle.
+
+A touch is the moment at which a moving circle overlaps another body by `touching_overlap`. If the two overlapped more
+at the start of the step, it is the moment at which their distance would become smaller than at the start. Times are
+counted from the beginning of the step, in units of the step. A rate is a displacement in a whole step, m. A circle is
+called held if it has met a wall, a segment or a fixed circle in the step (`Paths.held`).
 
 Tests: tests/stepping/test_continuous.py
 """
@@ -17,13 +22,13 @@ from deep_contact.stepping.segment_grid import BESIDE, ON, START, cells_of_box, 
 from deep_contact.stepping.segments import carried, crossing, hides, moves, time_to_touch
 
 FAST = 0.5
-"""A circle is fast if it moves farther in a step than this share of its radius, relative to a wall."""
+"""A circle is fast relative to a body if it moves farther in a step, relative to it, than this share of its radius."""
 
 PAIRS = 0.5
-"""A pair of circles touches only where it approaches by more than this share of the smaller radius in a step."""
+"""Two circles touch only if they approach each other, in a step, by more than this share of the smaller radius."""
 
 HELD = 0.01
-"""The share in place of `PAIRS` if one of the two circles is held, and for walls and segments."""
+"""Share that replaces `PAIRS` if one of the two circles is held, and for touches with walls and segments."""
 
 MOST_TOUCHES = 200
 """Largest number of touches of a circle in a step. Later approaches are left to the contacts of the next step."""
@@ -31,7 +36,11 @@ MOST_TOUCHES = 200
 
 @njit(cache=True, error_model="numpy", _nrt=False)
 def touch_walls(i, now, paths, actuation):
-    """(time, partner) of the first touch of circle i with a wall or a segment from time `now` on, or (inf, −1)."""
+    """Return (time, partner) of the first touch of circle i with a wall or a segment from time `now` on, or (inf, −1).
+
+    partner: index of the wall or segment, as in `Contacts.body_b`. paths: `Paths`. actuation: `Actuation` of the step,
+    or None.
+    """
     step, segments, n = paths.step, paths.segments, paths.since.shape[0]
     radius, scales = step.bodies.radius[i], step.scales
     rate_x, rate_y, (x, y) = paths.rate[i, 0], paths.rate[i, 1], place_at(paths, i, now)
@@ -40,7 +49,7 @@ def touch_walls(i, now, paths, actuation):
         for wall in range(4):
             rate = rate_x * WALL_NORMALS[wall, 0] + rate_y * WALL_NORMALS[wall, 1]
             before = wall_gap(paths.start[i, 0], paths.start[i, 1], paths.step.box, wall)
-            # A circle that began outside of the wall may come in.
+            # A circle that was outside of the box at the start of the step may come in.
             if rate > HELD * radius and before > 0.0:
                 least = min(before, radius + scales.wall_skin - touching_overlap(radius, scales))
                 time = now + max(0.0, (wall_gap(x, y, paths.step.box, wall) - least) / rate)
@@ -70,15 +79,19 @@ def touch_walls(i, now, paths, actuation):
 
 @njit(inline="always")
 def touching_overlap(radius, scales):
-    """Overlap of a touch, m, with which the next step finds a contact."""
+    """Return the overlap of a touch, m. It is large enough that the next step finds a contact.
+
+    radius: radius of the circle, of two circles the smaller radius, m. scales: `ContactScales`.
+    """
     return min(0.5 * scales.slop, 0.1 * radius)
 
 
 @njit(cache=True, error_model="numpy")
 def piece_beside(i, s, now, paths, actuation):
-    """((x, y), (m_x, m_y)): start and rest of the path of circle i from time `now` on, relative to segment s, m.
+    """Return ((x, y), (m_x, m_y)): centre of circle i at time `now`, and its displacement in the rest of the step, m.
 
-    actuation: `Actuation` of the step; None for a segment at rest.
+    Both are relative to segment s, in its place at the end of the step. actuation: `Actuation` of the step, or None for
+    a segment at rest.
     """
     (x, y), (to_x, to_y) = place_at(paths, i, now), place_at(paths, i, 1.0)
     if actuation is not None:
@@ -88,9 +101,9 @@ def piece_beside(i, s, now, paths, actuation):
 
 @njit(cache=True, error_model="numpy")
 def touch_segment(i, s, now, paths, actuation):
-    """Time of the first touch of circle i with segment s from time `now` on, in steps, or infinity.
+    """Return the time of the first touch of circle i with segment s from time `now` on, or infinity.
 
-    actuation: `Actuation` of the step; None for a segment at rest.
+    The time is in units of the step. actuation: `Actuation` of the step, or None for a segment at rest.
     """
     line, box, radius, rest = paths.segments.line, paths.step.box, paths.step.bodies.radius[i], 1.0 - now
     reach, (start_x, start_y) = radius + paths.step.scales.wall_skin, (paths.start[i, 0], paths.start[i, 1])
@@ -99,7 +112,7 @@ def touch_segment(i, s, now, paths, actuation):
     before = e_x * (y - line[s, 1]) - e_y * (x - line[s, 0])
     after = before + e_x * m_y - e_y * m_x
     if before * after > 0.0 and min(before * before, after * after) > reach * reach * (e_x * e_x + e_y * e_y):
-        return np.inf  # the whole path is on one side of the line, and beyond reach of it
+        return np.inf  # the whole path is on one side of the line, and out of reach of it
     far = paths.touches[i] > 0 or m_x * m_x + m_y * m_y > (FAST * radius * rest) ** 2
     if not far or rest <= 0.0:
         return np.inf
@@ -109,8 +122,8 @@ def touch_segment(i, s, now, paths, actuation):
     least = min(touching, segment_gap(line[s], start_x, start_y)[0], segment_gap(line[s], x, y)[0])
     share, part = time_to_touch(line[s], x, y, m_x, m_y, least)
     if part != BESIDE and share <= 1.0:
-        # An end on a surface is no nearer than the surface: a circle that slides along one segment does not touch the
-        # end of the next.
+        # An end on a surface counts as no nearer than the surface. So a circle that slides along one segment does not
+        # touch the end of the next segment.
         end, column = 2 * s + part - START, 2 * (part - START)
         e_x, e_y, hiding, first = line[s, column], line[s, column + 1], paths.segments.hiding, paths.segments.first
         for k in hiding[first[end] : first[end + 1]]:
@@ -128,7 +141,7 @@ def touch_segment(i, s, now, paths, actuation):
 
 @njit(inline="always")
 def touch_circle(i, k, now, paths):
-    """Time of the first touch of circles i and k from time `now` on, in steps, or infinity."""
+    """Return the time of the first touch of circles i and k from time `now` on, in units of the step, or infinity."""
     start, rate, held, radius = paths.start, paths.rate, paths.held, paths.step.bodies.radius
     (x_i, y_i), (x_k, y_k) = place_at(paths, i, now), place_at(paths, k, now)
     p_x, p_y, w_x, w_y = x_k - x_i, y_k - y_i, rate[k, 0] - rate[i, 0], rate[k, 1] - rate[i, 1]
@@ -138,7 +151,7 @@ def touch_circle(i, k, now, paths):
     reach, smaller = radius[i] + radius[k], min(radius[i], radius[k])
     missed, w = p_x * p_x + p_y * p_y - reach * reach, w_x * w_x + w_y * w_y
     if along * along < w * missed:
-        return np.inf  # the test below, without a root, for the larger distance `reach`
+        return np.inf  # the paths miss each other even at the distance `reach`; this test needs no square root
     is_fixed_i, is_fixed_k = paths.inverse[i] == 0.0, paths.inverse[k] == 0.0
     if (is_fixed_i and held[k] > held[i]) or (is_fixed_k and held[i] > held[k]) or (is_fixed_i and is_fixed_k):
         return np.inf  # a fixed circle passes over a firmer circle, and over another fixed one
@@ -158,7 +171,11 @@ def touch_circle(i, k, now, paths):
 
 @njit(cache=True, error_model="numpy", _nrt=False)
 def approach_of(i, k, time, paths, actuation):
-    """(n_x, n_y, rate): unit normal from circle i to body k, and the rate at which i approaches k, m a step."""
+    """Return (n_x, n_y, rate): unit normal from circle i to body k, and the rate at which i approaches k, m per step.
+
+    k: index of the body, as in `Contacts.body_b`. time: in units of the step. actuation: `Actuation` of the step, or
+    None.
+    """
     n, rate = paths.since.shape[0], paths.rate
     if k < n:
         (x_i, y_i), (x_k, y_k) = place_at(paths, i, time), place_at(paths, k, time)
@@ -179,10 +196,11 @@ def approach_of(i, k, time, paths, actuation):
 
 @njit(cache=True, error_model="numpy", _nrt=False)
 def slip_apart(i, k, normal, time, paths, actuation):
-    """(t_x, t_y, rate): unit tangent along which circle i slips on body k, and the rate of the slip, m a step.
+    """Return (t_x, t_y, rate): unit tangent along which circle i slips on body k, and the rate of the slip, m per step.
 
-    The rate is 0 if the slip leaves the two within reach of a contact at the end of the step, or if something holds
-    one of them.
+    The rate is 0 if the slip leaves the two bodies close enough for a contact at the end of the step, if one of them is
+    a held circle, and if k is a wall. normal: unit normal from i to k, (2,). time: in units of the step. actuation:
+    `Actuation` of the step, or None.
     """
     n, rest, line, scales = paths.since.shape[0], 1.0 - time, paths.segments.line, paths.step.scales
     is_held = paths.inverse[i] > 0.0 and paths.held[i] != FREE
@@ -208,7 +226,7 @@ def slip_apart(i, k, normal, time, paths, actuation):
         parts = math.hypot(to_x, to_y) > least
     else:
         parts = segment_gap(line[s], to_x, to_y)[0] > least
-        if parts:  # unless a segment or a wall on which it ends has the contact, or stops the circle
+        if parts:  # not if a segment or wall on which segment s ends has a contact with the circle, or stops it
             hiding, first = paths.segments.hiding, paths.segments.first
             for other in hiding[first[2 * s] : first[2 * s + 2]]:
                 parts &= segment_gap(line[other], to_x, to_y)[0] > least
