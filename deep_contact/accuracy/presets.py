@@ -259,7 +259,11 @@ def _way_out(us: float) -> str:
 
 @functools.lru_cache(256)
 def _chosen(accuracy: str, sleep: bool, *case) -> dict:
-    """Return the setting of the installed study for a preset. case: the arguments of `_candidates`."""
+    """Return the cheapest setting in the installed study that keeps the tolerances of the preset `accuracy`.
+
+    If no setting keeps them, return the nearest (`cheapest`). sleep: whether the solver has to let circles sleep. case:
+    the arguments of `_candidates`, which describe the scene.
+    """
     candidates = [one for one in _candidates(*case) if not sleep or entry_of(one["solver"]).can_sleep]
     return cheapest(candidates, PRESETS[accuracy])
 
