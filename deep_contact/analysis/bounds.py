@@ -1,10 +1,10 @@
 """Bounds on the contact impulses of a motion. With friction, the motion does not determine the impulses.
 
-A pile at rest has more contacts than equilibrium needs. Many sets of impulses in Coulomb's cones then add up to the
-same impulse and the same angular impulse on every circle. They give the same motion, so that no observation of
-positions and velocities can tell them apart. All these sets together are convex (McNamara and Herrmann, Phys. Rev. E
-70, 061303, 2004), and each bound on a contact's impulse is the optimum of a linear program over them. Sources: Radjai,
-Jean, Moreau and Roux, Phys. Rev. Lett. 77, 274 (1996); Unger, Kertész and Wolf, Phys. Rev. Lett. 94, 178001 (2005).
+A pile at rest has more contacts than equilibrium needs. Many vectors λ of impulses in Coulomb's cones then have the
+same sums of force and torque on every circle. They give the same motion, so that no observation of positions and
+velocities can tell them apart. The set of all these λ is convex (McNamara and Herrmann, Phys. Rev. E 70, 061303, 2004).
+Each bound on a contact's impulse is therefore the solution of a linear program. Sources: Radjai, Jean, Moreau and Roux,
+Phys. Rev. Lett. 77, 274 (1996); Unger, Kertész and Wolf, Phys. Rev. Lett. 94, 178001 (2005).
 """
 
 from __future__ import annotations

@@ -20,9 +20,10 @@ from deep_contact.state.constants import TIME_STEP
 
 
 def setting_of(solver, dt: float, start: str = "builtin") -> dict:
-    """Return the setting with this solver. Of the solver's options, it has those that differ from their defaults.
+    """Return the setting of runs with a solver, a Δt and a start.
 
-    The tolerance is an exception: the setting has it unless it is None. dt: Δt of the runs, s. start: name of the start
+    A setting always has the number of sweeps. It has the tolerance unless that is None, and of the solver's other
+    options those that differ from their defaults. solver: options of the solver. dt: Δt, s. start: name of the start
     (`starts.names`).
     """
     plain = {f.name: None if f.name == "tolerance" else f.default for f in fields(solver)}

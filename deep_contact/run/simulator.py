@@ -221,7 +221,7 @@ class Simulator:
     def _change(self, state: State, push=None) -> None:
         """Continue from another state.
 
-        push: the new push. With None, a push that is a function stays; otherwise the push is that of the state.
+        push: the new push. If it is None, a push that is a function stays, and any other push becomes that of `state`.
         """
         if push is None:
             push = self._options.push if callable(self._options.push) else state.push
@@ -396,7 +396,7 @@ class Simulator:
 class _Now(NamedTuple):
     """Contacts, number of steps, time (s) and `State.solved` of a `Simulator` at one time.
 
-    A step replaces them by one assignment, so that an interrupt finds the values before the step or after it.
+    A step replaces all four in one assignment. An interrupt therefore finds all from before the step or all from after.
     """
 
     contacts: Contacts

@@ -62,8 +62,9 @@ BLOCK = 1024
 fastest cache."""
 
 COLOURS = 64
-"""Number of bits of a mask: the largest number of colours in a block, and of phases. A contact without a free colour is
-a batch of its own. Blocks without a free phase come last, in the order of the list."""
+"""Largest number of colours in a block, and largest number of phases: the number of bits in a mask of `BatchPlan.mark`.
+A contact for which no colour is free is a batch of its own. Blocks for which no phase is free come last, in the order
+of the list."""
 
 CONTACTS, BLOCKS, TILES, CIRCLES, ROWS = range(5)
 """Indices into `BatchPlan.count`."""
@@ -103,7 +104,7 @@ class Tiles(NamedTuple):
 
 @njit(cache=True)
 def make_plan(n, capacity):
-    """Return buffers for a plan of `capacity` contacts of n circles. Its counts are −1, so that it fits no contacts."""
+    """Return a plan with buffers for `capacity` contacts of n circles. Its counts are −1, so that it fits no contacts."""
     blocks = capacity // BLOCK + 1
     whole = np.int64
     return BatchPlan(
@@ -115,7 +116,7 @@ def make_plan(n, capacity):
 
 @njit(cache=True)
 def make_tiles(rows, tiles):
-    """Return uninitialised buffers for `rows` rows of bodies and for `tiles` tiles."""
+    """Return uninitialised `Tiles` with `rows` rows of bodies and `tiles` tiles of contacts."""
     return Tiles(
         np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 6, WIDTH)), np.empty((tiles, 2, WIDTH)),
         np.empty((rows, 4)), np.empty((rows, 4)),
@@ -176,7 +177,7 @@ def choose_batches(body_a, body_b, n, begin, end, plan):
     mark, batches, alone, segments = plan.mark, 0, 0, 0
     nothing, one = np.uint64(0), np.uint64(1)
     taken = of_a = nothing
-    held = np.uint32(body_a[begin])  # contacts are sorted by body a, so that its marks stay in registers
+    held = np.uint32(body_a[begin])  # contacts are sorted by body a, so that the marks of body a stay in registers
     for i in range(begin, end):
         a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
         if a != held:
@@ -366,7 +367,8 @@ def fill_rows(tiles, first, last):
         w_a, w_b = load_rows(v, body, 2 * t)[INVERSE_MASS], load_rows(v, body, 2 * t + 1)[INVERSE_MASS]
         d_x, d_y = b_x - a_x, b_y - a_y
         distance, coincide = root(times(d_x, d_x) + times(d_y, d_y)), times(tiny, r_a + r_b)
-        # Lanes whose body b has no inverse mass do not count, such as unused lanes, where the idle body meets itself.
+        # In the test for coinciding centres, only lanes whose body b has an inverse mass count. This leaves out unused
+        # lanes, in which the idle body touches itself.
         nearest = least(nearest, where_less(none, w_b, distance - coincide, one))
         written_x, written_y = load(data, row + N_X), load(data, row + N_Y)
         n_x = where_less(distance, coincide, written_x, d_x / distance)

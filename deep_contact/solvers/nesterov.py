@@ -49,17 +49,17 @@ NesterovSettings = namedtuple("NesterovSettings", ["tolerance"])
 
 @njit(cache=True)
 def relax_nesterov(settings, rows, friction, solver_bodies, theta, workspace):
-    """Do sweeps with Nesterov's momentum: each sweep starts from impulses that are extrapolated from the last two.
+    """Do sweeps with Nesterov's momentum: each sweep starts from an extrapolation of the results of the last two.
 
     Let a sweep start from impulses λ* and end at λ, and let λ⁻ be the result of the sweep before. The next sweep starts
     from λ + β (λ − λ⁻), with β = (t − 1) / t⁺ and t⁺ = (1 + √(1 + 4 t²)) / 2. The number t begins at 1 and becomes t⁺
     after each sweep. If the scalar product of λ − λ* and λ − λ⁻ is negative, the momentum restarts: β is 0 for the next
     sweep, and t becomes 1 (gradient scheme of O'Donoghue and Candès 2015).
 
-    With friction this rule alone makes the impulses cycle around the solution. Therefore β is at most 1 − ε. The number
-    ε adapts to s = Σ (λ − λ*)², the squared change of the impulses in a sweep. It doubles after a sweep whose s exceeds
-    that of the sweep before by more than `SUDDEN_GROWTH`. After every `MOMENTUM_WINDOW` sweeps, it doubles if the sum
-    of s over these sweeps exceeds the sum over the window before, and otherwise falls by a fifth.
+    With friction this rule alone makes the impulses cycle around the solution. Therefore β is at most 1 − ε, where ε
+    adapts to s = Σ (λ − λ*)², the squared change of the impulses in a sweep. If s grows by more than the factor
+    `SUDDEN_GROWTH` from one sweep to the next, ε doubles. `MOMENTUM_WINDOW` sweeps form a window. After each window, ε
+    doubles if the sum of s is larger than in the window before, and otherwise falls by a fifth.
 
     The solver bodies' velocities are extrapolated like the impulses. The result of the last sweep is not extrapolated,
     so that the returned impulses lie in the friction cone. Arguments and result are those of `Loop.relax`
