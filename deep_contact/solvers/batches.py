@@ -104,7 +104,10 @@ class Tiles(NamedTuple):
 
 @njit(cache=True)
 def make_plan(n, capacity):
-    """Return a plan with buffers for `capacity` contacts of n circles. Its counts are −1, so that it fits no contacts."""
+    """Return a plan with buffers for `capacity` contacts of n circles.
+
+    Its counts are −1, so that it fits no contacts yet.
+    """
     blocks = capacity // BLOCK + 1
     whole = np.int64
     return BatchPlan(

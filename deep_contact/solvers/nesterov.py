@@ -24,7 +24,7 @@ MAX_MOMENTUM = 0.99
 """Largest value that the upper bound of β takes."""
 
 MOMENTUM_WINDOW = 5
-"""Number of sweeps between two adaptations of the upper bound of β."""
+"""Number of sweeps between two regular adaptations of the upper bound of β."""
 
 SUDDEN_GROWTH = 1.2
 """If the squared change of the impulses in a sweep exceeds that in the sweep before by more than this factor, the upper
