@@ -411,10 +411,10 @@ def kinds_of(numbers: SceneNumbers) -> list[str]:
 
 
 def _of_densities(numbers: SceneNumbers) -> list[str]:
-    """Return a list with the kind of the study's scenes with two densities that a scene resembles (`DENSITIES`).
+    """Return which of the study's kinds with two densities (`DENSITIES`) a scene resembles, as a list of one name.
 
-    The kind has the next larger ratio of densities, in layers or mixed. The list is empty if all circles have one
-    density.
+    It is the kind with the next larger ratio of densities, in layers or mixed. The list is empty if all circles have
+    the same density.
     """
     if numbers.density_ratio <= 1.001:
         return []

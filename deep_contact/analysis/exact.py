@@ -119,8 +119,8 @@ def solve_exactly(
 
     state: a `State` with contacts, or a `ContactProblem` with friction. The residual is `metrics.residual` or, for a
     `ContactProblem`, the equal `lcp.natural_residual`. normal_start, tangent_start: impulses to start from, (m,) each,
-    N·s. By default the solve starts from the state's starting impulses (of `support` if it has no past; 0 for a
-    `ContactProblem`), or from the impulses after 300 sweeps of NesterovPGS, whichever have the smaller residual.
+    N·s. By default these are the state's starting impulses (those of `support` if the state has no past; 0 for a
+    `ContactProblem`), or the impulses after 300 sweeps of NesterovPGS, whichever have the smaller residual.
     residual: largest residual that counts as converged, m/s. most_pivots: largest number of pivots and factorisations
     together.
 

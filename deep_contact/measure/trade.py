@@ -120,7 +120,7 @@ class Trade:
         return min(mine, key=lambda row: (excess(row, 0), row["us"]))
 
     def enough(self, name: str, difference: float) -> int:
-        """Return the number of seeds with which the error by chance is at most half of `difference`.
+        """Return the number of seeds with which chance contributes at most half of `difference` to an error.
 
         name: name of the error. difference: difference between errors of settings, in the unit of the error.
         """

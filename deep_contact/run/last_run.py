@@ -1,4 +1,5 @@
-"""Reuse of the last run of `simulate`, for a call that continues from the state that the call before has returned."""
+"""Storage of the last run of `simulate`. If the next call continues from the state that this run returned, it reuses
+the run."""
 
 from __future__ import annotations
 

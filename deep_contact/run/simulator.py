@@ -374,11 +374,10 @@ class Simulator:
         return done
 
     def _start_from_python(self, contacts: Contacts) -> tuple[Contacts, StepProblem | None]:
-        """Return (contacts, problem): the contacts with the impulses of a start in Python, and the contact problem or
-        None.
+        """Call the start and the push before a step, if they are functions in Python. Returns (contacts, problem).
 
-        The contact problem is returned if the start has built it. If the push is a function, it is called here, and its
-        forces replace those of the last step.
+        The contacts have the starting impulses. The problem is the contact problem, if the start has built it, or None.
+        The forces of the push replace those of the last step.
         """
         push, solver, problem = self._options.push, self._scene.solver, None
         if callable(push):
