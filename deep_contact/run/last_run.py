@@ -1,5 +1,4 @@
-"""Storage of the last run of `simulate`. If the next call continues from the state that this run returned, it reuses
-the run."""
+"""The last run of `simulate`, stored so that a call that continues from its final state can reuse it."""
 
 from __future__ import annotations
 
