@@ -342,9 +342,9 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list
     the slowest kind, interpolated between the sizes by a power law.
 
     substeps: pairs of a time step of the study, s, and the number of substeps into which it divides the scene's Δt.
-    stiff: the solver for a scene that a few sweeps cannot solve (`stiffness`), or None. It is then the only candidate.
-    Its cost is an upper bound: all its sweeps at the lowest cost of a sweep in the study. Its errors are those of the
-    study's best setting.
+    stiff: None, or the solver for a scene that a few sweeps cannot solve (`stiffness`), which is then the only
+    candidate. Its cost is an upper bound: all its sweeps at the lowest cost of a sweep in the study. Its errors are
+    those of the study's best setting.
     """
     candidates, parts = [], dict(substeps)
     kinds, low, high = _near(n, kinds)

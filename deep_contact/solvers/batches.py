@@ -1,12 +1,13 @@
 """The data structure of `solvers.batched`: batches of contacts that share no circle, stored in tiles of eight contacts.
 
-In a sweep of `stepping.rows`, each contact waits for the velocities that the contact before it writes. No circle occurs
-twice in a batch, so that one vector operation relaxes eight of its contacts (`compiled.simd`). Contacts of a batch may
+In a sweep of `stepping.rows`, each contact waits for the velocities that the contact before it writes. In a batch no
+circle occurs twice, so that one vector operation can relax eight contacts (`compiled.simd`). Contacts of a batch may
 share a wall, because no impulse changes the velocity of a wall.
 
 The list of contacts is divided into blocks of `BLOCK` contacts, and the contacts of each block are coloured greedily.
 The contacts of one colour in a block are a batch. Blocks are relaxed phase by phase, and the blocks of a phase share no
-circle. This order is part of the result: with more than two blocks, the order of the list gives other bits.
+circle. This order is part of the result: if more than two blocks were relaxed in the order of the list, the bits would
+differ.
 
 A batch is stored as tiles of eight contacts. In each unused lane of its last tile, the idle body touches itself. The
 idle body has no inverse mass, so that such a contact changes nothing. Each block has five bodies of its own besides the

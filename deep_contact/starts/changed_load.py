@@ -123,8 +123,8 @@ def with_a_past(state: StateWithContacts) -> StateWithContacts:
 def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:
     """Return impulses (λ_n, λ_t), (m,) each, N·s, at which the state rests, or else accurately solved impulses.
 
-    If the circles hardly move, the convex relaxation searches for impulses at rest. If it finds none, and if the
-    circles move, NesterovPGS solves the contact problem. normal, tangent: impulses to start from, (m,) each, N·s.
+    If the circles hardly move, the convex relaxation searches for impulses at rest. If it finds none, or if the circles
+    move faster, NesterovPGS solves the contact problem. normal, tangent: impulses to start from, (m,) each, N·s.
     problem: `StepProblem` of the state. tolerance: θ at which the sweeps of NesterovPGS end, N·s, or None.
     """
     gained, speed = state.dt * math.hypot(*state.world.gravity), math.inf
