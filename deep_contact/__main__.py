@@ -364,7 +364,10 @@ def _list(args) -> int:
 
 
 def _known(command: str) -> dict[str, Path]:
-    """Return number -> script: of all figures and tables for the command "figure", of the tables alone for "table"."""
+    """Return number -> script, for all scripts that a command can run.
+
+    command: "figure" runs the scripts of figures and tables, "table" those of tables alone.
+    """
     paths = scripts.find(shipped.ROOT / "scripts")
     return {number: path for number, path in paths.items() if command == "figure" or number.startswith("T")}
 
@@ -386,8 +389,8 @@ def _script(command: str, number: str) -> Path:
 def _run(script: Path, argv: list[str]) -> int:
     """Run a script as the module `__main__`. Returns its exit status.
 
-    Processes that the script starts import it under this name. `runpy.run_path` does this too. But the help of the
-    script would then show the name of its file in place of the command.
+    Processes that the script starts then find its functions. `runpy.run_path` would do the same, but it would make the
+    help of the script show the name of the file in place of the command.
     """
     module = types.ModuleType("__main__")
     module.__file__ = str(script)

@@ -43,7 +43,7 @@ def homes(source: str) -> dict[str, tuple[str, str]]:
 def attach(package: str, source: str) -> tuple[Callable, Callable, list[str]]:
     """Return `__getattr__`, `__dir__` and `__all__` for a package with lazy names.
 
-    package: its name. source: path of its `__init__.py`.
+    package: name of the package. source: path of its `__init__.py`.
     """
     home = homes(source)
     names = [*home]

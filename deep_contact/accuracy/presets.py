@@ -60,8 +60,8 @@ PRESETS: dict[str, dict[str, float]] = {
 }  # fmt: skip
 """Name of a preset -> tolerance of each error, in %; "contacts" is in contacts per circle.
 
-"preview" tolerates the penetration in an impact at a step of 10 ms, which does not depend on the number of sweeps. From
-"preview" to "accurate" the tolerance of forces is loose, because in frictionless piles the slop closes gaps.
+In an impact at a step of 10 ms, the largest penetration does not depend on the number of sweeps; "preview" tolerates
+it. From "preview" to "accurate" the tolerance of forces is loose, because in frictionless piles the slop closes gaps.
 """
 
 MARGIN = 0.85
@@ -92,15 +92,15 @@ LAYERED = 0.25
 height of all circles."""
 
 SPREAD = 2.5
-"""Least height of a dam that breaks, over the height that its circles would have if they lay across the whole width of
-the box."""
+"""Least ratio of two heights of a dam that breaks: the height of its circles, and the height that they would have if
+they lay across the whole width of the box."""
 
 DENSE = 0.5
-"""Least share of its bounding rectangle that the circles of a dam cover."""
+"""The circles of a dam cover at least this share of the rectangle around them."""
 
 MEASURING = 600 * 500
-"""Time that `measure_trade` takes for 600 steps, as a multiple of the time of one step of a preset. It is for six
-seeds, a reference, and the reference with half its step."""
+"""Time that `measure_trade` takes for 600 steps and six seeds, as a multiple of the time of one step of a preset. The
+runs of the reference, and its runs with half the step, are included."""
 
 
 class PresetWarning(UserWarning):
@@ -111,13 +111,14 @@ class PresetWarning(UserWarning):
 class Recommendation:
     """A solver and a start for the runs of a scene, with their cost and errors. `print` shows all of it.
 
-    accuracy: name of the preset. solver: options of `solvers`, substeps included. warm_start: name of the start. us:
-    wall time of a step of the scene's Δt, μs, the mean over a run, on the processor `cpu`. errors: name of an error ->
-    its largest value over the study's kinds of scenes like this scene, at the two sizes next to its own. tolerances:
-    name of an error -> tolerance of the preset. reached: whether all errors are within the tolerances; if not, no
-    setting is within them, and this setting comes nearest. outside: sentences on properties of the scene that the study
-    did not measure; empty if there are none. cheaper, better: the setting of the next looser and of the next tighter
-    preset, with its cost; empty if there is no such preset.
+    accuracy: name of the preset. solver: options of the solver (`solvers`), with the number of substeps. warm_start:
+    name of the start. us: wall time of a step of `dt` on the processor `cpu`, μs, the mean over a run. dt: Δt of the
+    scene, s. n_bodies: number of circles in the scene. errors: name of an error -> its largest value in the study, over
+    the kinds of scenes like this scene and the two sizes around `n_bodies`. tolerances: name of an error -> tolerance
+    of the preset. reached: whether all errors are within the tolerances; if not, no setting is within them, and this
+    setting comes nearest. outside: sentences on properties of the scene that the study did not measure; empty if there
+    are none. cheaper, better: text on the setting of the next looser and of the next tighter preset, with its cost;
+    empty if there is no such preset.
     """
 
     accuracy: str
@@ -192,9 +193,10 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
 
 
 def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
-    """Return a text on the setting of another preset, with the ratio of its cost to that of the best setting.
+    """Return a text on the setting of another preset, with the ratio of its cost to that of the recommended setting.
 
-    If `accuracy` is "", the text is "".
+    accuracy: name of the other preset; if it is "", so is the text. best: the recommended setting. candidates: settings
+    from `_candidates`.
     """
     if not accuracy:
         return ""
@@ -259,7 +261,11 @@ def _way_out(us: float) -> str:
 
 @functools.lru_cache(256)
 def _chosen(accuracy: str, sleep: bool, *case) -> dict:
-    """Return the setting of the installed study for a preset. case: the arguments of `_candidates`."""
+    """Return the cheapest setting in the installed study that keeps the tolerances of the preset `accuracy`.
+
+    If no setting keeps them, return the nearest (`cheapest`). sleep: whether the solver has to let circles sleep. case:
+    the arguments of `_candidates`, which describe the scene.
+    """
     candidates = [one for one in _candidates(*case) if not sleep or entry_of(one["solver"]).can_sleep]
     return cheapest(candidates, PRESETS[accuracy])
 
@@ -280,10 +286,10 @@ def longest_step(numbers: SceneNumbers, dt: float) -> float:
 
 
 def parts_for(numbers: SceneNumbers, dt: float) -> int:
-    """Return the number of substeps of a scene's Δt so that a substep is at most `longest_step(numbers, dt)`.
+    """Return the number of substeps into which a setting with the time step `dt`, s, divides a scene's Δt.
 
-    A substep may exceed this length by 5 %. The number is a power of two, which scales impulses exactly, and at most
-    `MOST_SUBSTEPS`.
+    It is the least power of two with which a substep exceeds `longest_step(numbers, dt)` by at most 5 %, or
+    `MOST_SUBSTEPS` if that is less. A power of two scales impulses exactly.
     """
     ratio = numbers.dt / longest_step(numbers, dt)
     return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
@@ -292,7 +298,8 @@ def parts_for(numbers: SceneNumbers, dt: float) -> int:
 def keeping(candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True) -> list[dict]:
     """Return the candidates whose "errors" are within the tolerances.
 
-    margin: whether to return only candidates within `MARGIN` times the tolerances, if there are any.
+    margin: whether candidates whose errors are within `MARGIN` times the tolerances are returned alone, if there are
+    any.
     """
     shares = (MARGIN, 1.0) if margin else (1.0,)
     kept = ([one for one in candidates if excess(one["errors"], tolerances) <= most] for most in shares)
@@ -306,9 +313,9 @@ def excess(errors: Mapping[str, float | None], tolerances: Mapping[str, float]) 
 
 
 def cheapest(candidates: list[dict], tolerances: Mapping[str, float]) -> dict:
-    """Return the candidate with the smallest "us" of those within the tolerances.
+    """Return the cheapest of the candidates that `keeping` returns for the tolerances: the one with the smallest "us".
 
-    If there is none, return the candidate whose errors come nearest.
+    If there is none, return the candidate whose errors come nearest to the tolerances.
     """
     if kept := keeping(candidates, tolerances):
         return min(kept, key=lambda one: one["us"])
@@ -335,9 +342,9 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list
     the slowest kind, interpolated between the sizes by a power law.
 
     substeps: pairs of a time step of the study, s, and the number of substeps into which it divides the scene's Δt.
-    stiff: the solver for a scene that a few sweeps cannot solve (`stiffness`), or None. It is then the only candidate.
-    Its cost is an upper bound: all its sweeps at the lowest cost of a sweep in the study. Its errors are those of the
-    study's best setting.
+    stiff: None, or the solver for a scene that a few sweeps cannot solve (`stiffness`), which is then the only
+    candidate. Its cost is an upper bound: all its sweeps at the lowest cost of a sweep in the study. Its errors are
+    those of the study's best setting.
     """
     candidates, parts = [], dict(substeps)
     kinds, low, high = _near(n, kinds)
@@ -365,10 +372,10 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list
 
 
 def _near(n: int, kinds: Sequence[str]) -> tuple[set[str], str, str]:
-    """Return (kinds, smaller size, larger size): kinds of the study, and its two sizes around n, as text.
+    """Return (kinds, smaller size, larger size): kinds of the study, and the two sizes of its scenes around n, as text.
 
-    The kinds are those of `kinds` that the study has, or all its kinds. If n is beyond the sizes of a kind, such as
-    drums, both sizes are the nearest size.
+    The result has those of `kinds` that the study has, or all kinds of the study if it has none of them. Both sizes are
+    the nearest size if n lies outside of the sizes that the study has for these kinds.
     """
     sizes_of = installed()["kinds"]
     wanted = sizes_of.keys() & kinds or set(sizes_of)
@@ -404,7 +411,11 @@ def kinds_of(numbers: SceneNumbers) -> list[str]:
 
 
 def _of_densities(numbers: SceneNumbers) -> list[str]:
-    """Return, in a list, the study's kind of two densities for a scene: the next larger ratio, in layers or mixed."""
+    """Return which of the study's kinds with two densities (`DENSITIES`) a scene resembles, as a list of one name.
+
+    It is the kind with the next larger ratio of densities, in layers or mixed. The list is empty if all circles have
+    the same density.
+    """
     if numbers.density_ratio <= 1.001:
         return []
     layers = "heavy on light" if numbers.layers > 0 else "light on heavy"
@@ -416,7 +427,10 @@ def _of_densities(numbers: SceneNumbers) -> list[str]:
 
 
 def _is_dam(numbers: SceneNumbers) -> bool:
-    """Return whether circles stand so much higher than they could lie that they will flow apart (`SPREAD`, `DENSE`)."""
+    """Return whether a scene is a dam that breaks: circles so high and so dense that they will flow apart.
+
+    `SPREAD` and `DENSE` are the limits.
+    """
     if numbers.count < 2:
         return False
     diameter = 2.0 * numbers.radius
@@ -461,7 +475,7 @@ def outside(numbers: SceneNumbers, stiff: Stiffness | None) -> list[str]:
 
 
 def _too_long(numbers: SceneNumbers, dt: float) -> list[str]:
-    """Return a list with a sentence if a step needs more than `MOST_SUBSTEPS` substeps, and otherwise an empty list.
+    """Return a list with a sentence if a scene's Δt would need more than `MOST_SUBSTEPS` substeps, or an empty list.
 
     dt: time step of the setting in the study, s.
     """

@@ -5,8 +5,8 @@ proportion to height times load. Such columns, and scenes with mass ratios beyon
 conjugate gradients to a tolerance that is small for the lightest circle. The steps are divided into substeps, which a
 mass ratio of 1e8 needs (Figure 6.6).
 
-A high pyramid creeps apart at one step of 10 ms, however well it is solved, since the next solve does not account for
-the displacements of position correction. It is solved in substeps of eight sweeps.
+A high pyramid creeps apart if a step is 10 ms, however well each step is solved, since the next solve does not account
+for the displacements of position correction. A pyramid is therefore solved in substeps of eight sweeps.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ HEAP = 50.0
 """Height, in circles, up to which circles do not count as a heap."""
 
 FILLED = 0.75
-"""Largest share of its bounding rectangle that a heap fills. A pyramid fills half of it."""
+"""A heap fills at most this share of the rectangle around it. A pyramid fills half of the rectangle."""
 
 TOUCHING = 1.5
 """Number of contacts per circle above which circles count as a heap at rest. Falling circles have fewer."""
 
 HEAP_ROWS = 12.0
-"""Largest height of a heap, in circles, for each of its substeps of eight sweeps. The number of substeps is a power of
-two."""
+"""Largest height of a heap, in circles, that is solved in one substep of eight sweeps. With the height, the number of
+substeps grows in proportion, rounded up to a power of two."""
 
 SWEEPS = 5000
 """Largest number of sweeps in a substep that is solved to a tolerance."""

@@ -1,10 +1,10 @@
 """Bounds on the contact impulses of a motion. With friction, the motion does not determine the impulses.
 
-A pile at rest has more contacts than equilibrium needs. All impulses in Coulomb's cone with equal sums of force and
-torque on every circle give the same motion, and no observation of positions and velocities can tell them apart. The set
-of these impulses is convex (McNamara and Herrmann, Phys. Rev. E 70, 061303, 2004). Each bound on a contact's impulse is
-therefore the solution of a linear program. Sources: Radjai, Jean, Moreau and Roux, Phys. Rev. Lett. 77, 274 (1996);
-Unger, Kertész and Wolf, Phys. Rev. Lett. 94, 178001 (2005).
+A pile at rest has more contacts than equilibrium needs. Many vectors λ of impulses in Coulomb's cones then have the
+same sums of force and torque on every circle. They give the same motion, so that no observation of positions and
+velocities can tell them apart. The set of all these λ is convex (McNamara and Herrmann, Phys. Rev. E 70, 061303, 2004).
+Each bound on a contact's impulse is therefore the solution of a linear program. Sources: Radjai, Jean, Moreau and Roux,
+Phys. Rev. Lett. 77, 274 (1996); Unger, Kertész and Wolf, Phys. Rev. Lett. 94, 178001 (2005).
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ EXACT = 1e-8
 """Largest residual (`metrics.residual`) of impulses that count as exact, m/s."""
 
 MOVING = 1e-6
-"""Relative velocity above which a contact counts as separating or as sliding, m/s."""
+"""Relative velocity, normal or tangential, above which a contact counts as separating or as sliding, m/s."""
 
 DETERMINED = 1e-6
-"""Width of an interval of impulses, divided by the mean λ_n, below which the impulse counts as determined. The linear
+"""An impulse counts as determined if its two bounds differ by less than this, divided by the mean λ_n. The linear
 programs are solved to 1e-10."""
 
 OPTIONS: dict[str, bool | int | float | str] = {
@@ -47,13 +47,13 @@ OPTIONS: dict[str, bool | int | float | str] = {
 
 @by_value
 class ForceBounds(NamedTuple):
-    """Bounds on the impulses of k contacts. ±infinity stands for a bound that does not exist.
+    """Bounds on the impulses of k contacts (`force_bounds`). A bound that does not exist is ±infinity.
 
-    | field      | meaning                                                                       | shape  | unit |
-    |------------|-------------------------------------------------------------------------------|--------|------|
-    | normal     | least and largest λ_n                                                         | (k, 2) | N·s  |
-    | tangent    | least and largest λ_t                                                         | (k, 2) | N·s  |
-    | determined | share of the contacts with both intervals narrower than 1e-6 of the mean λ_n  |        |      |
+    | field      | meaning                                                                        | shape  | unit |
+    |------------|--------------------------------------------------------------------------------|--------|------|
+    | normal     | least and largest λ_n                                                          | (k, 2) | N·s  |
+    | tangent    | least and largest λ_t                                                          | (k, 2) | N·s  |
+    | determined | share of the k contacts of which both λ_n and λ_t are known to 1e-6 mean λ_n   |        |      |
 
     An impulse divided by Δt is the mean force over the step.
     """
@@ -69,13 +69,13 @@ def force_bounds(
     *,
     jobs: int | Executor = 1,
 ) -> ForceBounds:
-    """Return the least and the largest λ_n and λ_t of contacts among all impulses that give the state's exact motion.
+    """Return bounds on λ_n and λ_t of contacts: their least and largest values over all impulses that give one motion.
 
-    The exact motion is that of the state's impulses if their `metrics.residual` is at most 1e-8 m/s. Otherwise, and for
-    a state that is not solved, `dc.solve_exactly` computes it. A contact that separates faster than 1e-6 m/s, a hundred
-    times that residual, carries no impulse. A contact that slides faster than 1e-6 m/s lies on an edge of Coulomb's
-    cone. A slower contact may carry any impulse in the cone. Its interval may therefore be too wide, but not too
-    narrow.
+    This motion is the state's exact motion: that of its impulses if their `metrics.residual` is at most 1e-8 m/s.
+    Otherwise, and for a state that is not solved, `dc.solve_exactly` computes it. If a contact separates faster than
+    1e-6 m/s, a hundred times that residual, its impulse is 0. If it slides faster than 1e-6 m/s, its impulse lies on
+    the edge of Coulomb's cone that opposes the sliding. If it does neither, its impulse may be any in the cone, so that
+    its bounds may lie too far apart, but never too close together.
 
     contacts: indices of the contacts; None stands for all. jobs: number of processes, or an executor. Raises
     ValueError, which names the argument, for wrong arguments and if no exact motion is found. Raises
@@ -117,10 +117,10 @@ def force_bounds(
 
 
 def _side_by_side(state: StateWithContacts, wanted: Sequence[int]) -> np.ndarray:
-    """Return an order, (k,), of the contacts with the indices `wanted`, in which successive contacts lie side by side.
+    """Return the order, (k,), in which the contacts `wanted` are solved: indices into `wanted`, neighbours in sequence.
 
-    The order goes up a vertical strip of the scene and down the next one. The solutions for neighbours differ little,
-    so that the simplex method gets from one to the next in few steps.
+    The order goes up one vertical strip of the scene and down the next. The solutions for neighbouring contacts differ
+    little, so that the simplex method gets from one to the next in few steps.
     """
     position = state.contacts.position[wanted]
     strip = np.floor(position[:, 0] / (4.0 * state.bodies.radius.mean()))
@@ -128,7 +128,7 @@ def _side_by_side(state: StateWithContacts, wanted: Sequence[int]) -> np.ndarray
 
 
 class Program(NamedTuple):
-    """The constraints x >= 0, A x = total, which all linear programs share. The programs differ in their costs."""
+    """The constraints x >= 0 and A x = total, which all linear programs share; A is `matrix`. Only the costs differ."""
 
     matrix: sparse.csr_array
     total: np.ndarray
@@ -145,9 +145,9 @@ def _highspy():
 
 
 def _highs(program: Program) -> Highs:
-    """Return a HiGHS solver that has solved the program with costs of 0.
+    """Return a HiGHS solver that has solved the program for costs of 0.
 
-    If the costs change, the primal simplex method goes on from this solution.
+    When the costs are changed, the primal simplex method continues from this solution.
     """
     highs, A = _highspy().Highs(), program.matrix
     for option, value in OPTIONS.items():
@@ -161,8 +161,8 @@ def _highs(program: Program) -> Highs:
 def _ends(part: tuple) -> np.ndarray:
     """Return the least and the largest λ_n and λ_t of k contacts, divided by the mean λ_n: (k, 2, 2).
 
-    The second index is the row, normal or tangent. The third index is the bound, least or largest. part: (indices of
-    the contacts, edges of all cones as columns, `Program`).
+    The second index of the result tells λ_n (0) from λ_t (1), the third the least value (0) from the largest (1). part:
+    (indices of the contacts, edges of all cones as columns, `Program`).
     """
     contacts, edges, program = part
     edges, ends = edges.tocsr(), np.zeros((len(contacts), 2, 2))
@@ -178,7 +178,7 @@ def _ends(part: tuple) -> np.ndarray:
         status = highs.getModelStatus()
         if status == known.kOptimal:
             ends[place] = sign * highs.getInfo().objective_function_value
-            # Contacts with λ_n = 0 in this solution have a least λ_n of 0: they need no program for it.
+            # If another contact has λ_n = 0 in this solution, its least λ_n is 0, and no program has to find it.
             is_zero[::2] |= (edges @ highs.getSolution().col_value)[::2] == 0.0
         else:
             expect(status == known.kUnbounded, f"state: expected programs that HiGHS solves, got {status}")

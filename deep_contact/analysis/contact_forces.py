@@ -114,9 +114,9 @@ def stress(state: State) -> np.ndarray:
 def mean_stress(state: State, spacing: float) -> np.ndarray:
     """Return the mean stress in square cells that cover the box, (rows, columns, 2, 2), N/m. Row 0 is at the bottom.
 
-    The stress of a cell is a sum over the circles with centres in the cell, divided by the cell's area: the sum of
-    stress (`stress`) times area of the circle. With fewer than about five circles in a cell, single contacts dominate
-    its stress.
+    The product of stress (`stress`) and area is summed over the circles whose centres lie in the cell. The stress of
+    the cell is this sum, divided by the cell's area. With fewer than about five circles in a cell, single contacts
+    dominate its stress.
 
     spacing: side of a cell, m.
     """

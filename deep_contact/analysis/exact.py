@@ -11,9 +11,9 @@ Each step is solved by the parametric form of Lemke's algorithm (Lemke 1965; Cot
 4.4-4.5; with friction Anitescu and Potra 1997). Every contact has a state: it is open, sticks, or slips in one of two
 directions. The states at the start follow from c. The impulses c are moved to the bounds of these states. They then
 solve a problem whose velocities are shifted by some q. The algorithm reduces this shift, t q, from t = 1 to t = 0.
-While all contacts stay in their states, λ is linear in t. A change of a state is called a pivot. It decides whether t
-falls or grows until the next pivot; without friction t always falls. As long as the steps need few pivots, ε is reduced
-from step to step.
+While all contacts stay in their states, λ is linear in t. A change of a state is called a pivot. Each pivot decides
+whether t falls or grows until the next one; without friction t always falls. As long as the steps need few pivots, ε is
+reduced from step to step.
 
 A pivot is a solve with SuperLU's factors (`proximal_path`), which costs too much for the steps of a run.
 
@@ -119,8 +119,8 @@ def solve_exactly(
 
     state: a `State` with contacts, or a `ContactProblem` with friction. The residual is `metrics.residual` or, for a
     `ContactProblem`, the equal `lcp.natural_residual`. normal_start, tangent_start: impulses to start from, (m,) each,
-    N·s. By default the solve starts from the state's starting impulses (of `support` if it has no past; 0 for a
-    `ContactProblem`), or from the impulses after 300 sweeps of NesterovPGS, whichever have the smaller residual.
+    N·s. By default these are the state's starting impulses (those of `support` if the state has no past; 0 for a
+    `ContactProblem`), or the impulses after 300 sweeps of NesterovPGS, whichever have the smaller residual.
     residual: largest residual that counts as converged, m/s. most_pivots: largest number of pivots and factorisations
     together.
 

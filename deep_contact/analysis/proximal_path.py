@@ -1,7 +1,8 @@
 """Lemke's algorithm for a proximal step of `exact`: the path of the impulses while the shift t q falls to 0.
 
-As long as no contact changes its state, the derivative dλ of λ by t satisfies one linear equation for each row. If the
-row's velocity stays 0, it is row i of (A + ε diag(A)) dλ = −q. If λ stays on a bound, it is the equation of this bound.
+As long as no contact changes its state, the derivative dλ of λ by t satisfies one linear equation for each row i. If
+the row's velocity stays 0, the equation is row i of (A + ε diag(A)) dλ = −q. If λ stays on a bound, the equation is
+that of the bound.
 When a contact changes its state, one or two equations are replaced. Each replacement changes the solution by a multiple
 of a column of the inverse (Sherman and Morrison 1950). SuperLU therefore factorises the matrix only once a step, and
 again after `REFRESH` replaced equations.

@@ -285,7 +285,7 @@ def _per_state(name: str, values, count: int, dtype, missing) -> np.ndarray:
 
 
 def _json_value(name: str, value):
-    """Return `value` as JSON returns it after writing and reading. Raises ValueError if JSON cannot store it."""
+    """Return `value` as it comes back if it is written as JSON and read. Raises ValueError if JSON cannot store it."""
     try:
         text = json.dumps(value, allow_nan=False)
     except (TypeError, ValueError) as error:

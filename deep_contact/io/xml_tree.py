@@ -53,7 +53,7 @@ def refuse_too_large(data: bytes) -> None:
 def parse_tree(data: bytes):
     """Parse the bytes of a file. Returns the root element.
 
-    The messages of this function, and of the functions below, do not name the file.
+    The error messages of this function, and of the functions below, do not name the file.
     """
     refuse_too_large(data)
     if not data.strip():

@@ -140,9 +140,9 @@ def observe(
 
 
 def with_next(name: str, quantity: Callable, state: State, before: list | str) -> list | str:
-    """Return the values of a quantity with its value for this state appended, or a sentence on what is wrong with it.
+    """Return the values of a quantity for all states up to this one, or a sentence on what is wrong with a value.
 
-    before: the values for earlier states, or such a sentence, which is returned.
+    before: the values for the earlier states; or such a sentence, which is returned as it is.
     """
     if isinstance(before, str):
         return before
@@ -159,7 +159,9 @@ def with_next(name: str, quantity: Callable, state: State, before: list | str) -
 
 
 def errors(found: Sequence[Observation], reference: Sequence[Observation]) -> dict[str, float | None]:
-    """Return the `ERRORS` of an ensemble against the reference's ensemble of the same scenes. Unknown errors are None.
+    """Return the `ERRORS` of an ensemble of runs against a reference ensemble. Unknown errors are None.
+
+    found, reference: observations of runs of the same scenes, one a seed.
 
     A quantity q of the user has two errors, relative to the reference's size. "q" is the error of the mean curve, Σ
     |⟨q⟩ − ⟨q⟩*| / Σ |⟨q⟩*|. "q spread" compares the means of q over a run: it is the Wasserstein distance between their

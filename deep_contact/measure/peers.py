@@ -31,7 +31,7 @@ from deep_contact.stepping.problem import contacts_of
 
 
 class _Peer:
-    """Base class of the adapters. A subclass builds its world, and lists its bodies in `_bodies` in our order.
+    """Base class of the adapters. A subclass builds the engine's world. Its `_bodies` are the circles, in our order.
 
     name: name of the engine. package: name of its Python module and distribution. reach: gap up to which the engine
     makes a contact, m.
@@ -99,7 +99,7 @@ class Box2D23(_Peer):
         self.world = b2.b2World(gravity=world.gravity, doSleep=False, continuousPhysics=False, warmStarting=True)
         material = {"friction": world.friction, "restitution": world.restitution}
         walls = b2.b2FixtureDef(shape=b2.b2LoopShape(vertices=corners(world.box)), **material)
-        # In a contact, the index of the child edge is the number of the wall: bottom, right, top, left.
+        # In a contact with the box, the index of the child edge is the number of the wall: bottom, right, top, left.
         self.world.CreateStaticBody(fixtures=walls).fixtures[0].userData = -1
         for s, (x_0, y_0, x_1, y_1) in enumerate(world.segments):
             edge = b2.b2FixtureDef(shape=b2.b2EdgeShape(vertices=[(x_0, y_0), (x_1, y_1)]), **material)

@@ -96,8 +96,9 @@ def states_of(start: State, setting: Mapping, frames: int, interval: float) -> I
 def timed(start: State, setting: Mapping, seconds: float) -> float:
     """Return the thread time, s, of one call that advances a run by `seconds`, s, of the scene's time.
 
-    For a short run it is the least of several timings. Other programs disturb thread time less than wall time. The
-    Python wrapper of another engine counts, since its users pay for it. The destruction of its world does not count.
+    If the run is short, the result is the least of several timings. Other programs disturb thread time less than wall
+    time. The time in an engine's Python wrapper counts, since users pay for it. The time in which the engine's world is
+    destroyed does not count.
     """
     took: list[float] = []
     while len(took) < 5 and sum(took) < LONG_ENOUGH:
@@ -119,11 +120,11 @@ def row_of(setting: Mapping, step: float, ensemble: Sequence[Observation], refer
 
 
 def noise_of(half: Sequence, reference: Sequence, *, swaps: int = 20) -> dict[str, float]:
-    """Return the sizes of the `errors` by chance, from observations of the reference and of runs with half its step.
+    """Return name of an error (`errors`) -> its mean size between two ensembles that differ by chance alone.
 
-    half, reference: observations of the same scenes. If half the step changes nothing but chance, the two runs of a
-    scene may be swapped. The errors between ensembles with swapped pairs are then those that seeds alone make. swaps:
-    number of random choices of the swapped pairs, over which the errors are averaged.
+    half, reference: observations of the same scenes, with half the reference's step and with its step. If these runs
+    differ only by chance, the two runs of any scene may be swapped. The errors between the two ensembles are therefore
+    averaged over random choices of the scenes whose runs are swapped. swaps: number of these choices.
     """
     if len(half) < 2:
         return {}

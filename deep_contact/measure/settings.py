@@ -1,6 +1,7 @@
 """Settings of runs, as mappings that JSON can store.
 
-A setting has a method of this package, or another engine, with options, a number of sweeps and Δt.
+A setting names a solver of this package ("method") or another engine ("engine"). It also gives its options, its number
+of sweeps ("sweeps"; iterations of an engine) and Δt ("dt", s).
 
 Tests: tests/measure/test_trade.py, tests/scripts/test_run_tradeoff.py, tests/studies/test_run_study.py
 """
@@ -19,9 +20,11 @@ from deep_contact.state.constants import TIME_STEP
 
 
 def setting_of(solver, dt: float, start: str = "builtin") -> dict:
-    """Return the setting of a solver: its options that differ from the defaults, and its tolerance, if it has one.
+    """Return the setting of runs with a solver, a Δt and a start.
 
-    dt: Δt of the runs, s. start: name of the start.
+    A setting always has the number of sweeps. It has the tolerance unless that is None, and of the solver's other
+    options those that differ from their defaults. solver: options of the solver. dt: Δt, s. start: name of the start
+    (`starts.names`).
     """
     plain = {f.name: None if f.name == "tolerance" else f.default for f in fields(solver)}
     changed = {name: value for name, default in plain.items() if (value := getattr(solver, name)) != default}
@@ -30,7 +33,7 @@ def setting_of(solver, dt: float, start: str = "builtin") -> dict:
 
 
 def solver_of(setting: Mapping):
-    """Return the solver options of a setting. The tolerance is None unless the setting has one."""
+    """Return the options of the solver that a setting names. Their tolerance is None unless the setting has one."""
     options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start")}
     return solver_from(setting["method"], {"tolerance": None} | options)
 
@@ -38,7 +41,7 @@ def solver_of(setting: Mapping):
 def name_of(setting: Mapping, step: float = TIME_STEP) -> str:
     """Return the name of a setting, such as "PGS, 10 sweeps, Δt / 2" or "Box2D v3, 4 iterations, Δt / 2".
 
-    step: the time step that the name calls Δt, s.
+    step: the time step, s, that "Δt" stands for in the name.
     """
     budget, ratio = "iteration" if "engine" in setting else "sweep", step / setting["dt"]
     words = [group_of(setting), f"{setting['sweeps']} {budget}{'s' * (setting['sweeps'] != 1)}"]
@@ -47,14 +50,15 @@ def name_of(setting: Mapping, step: float = TIME_STEP) -> str:
 
 
 def group_of(setting: Mapping) -> str:
-    """Return the method of a setting, or its engine."""
+    """Return the name of a setting's engine, or of its solver if it has no engine."""
     return setting.get("engine") or setting["method"]
 
 
 def reference_of(numbers: SceneNumbers, stiff: Stiffness | None, finer: int = 1) -> dict:
-    """Return the setting that stands for the limit of small steps in a scene.
+    """Return a setting with steps so small that its run stands for the limit of small steps.
 
-    finer: factor on the number of its substeps; 2 halves its step.
+    numbers, stiff: `scene_numbers` and `stiffness` of the scene. finer: factor on the number of substeps; 2 halves each
+    substep.
     """
     parts = presets.parts_for(numbers, TIME_STEP / 16)
     if stiff is None:
@@ -66,13 +70,19 @@ def reference_of(numbers: SceneNumbers, stiff: Stiffness | None, finer: int = 1)
 
 
 def settings_of_presets(numbers: SceneNumbers, stiff: Stiffness | None) -> dict:
-    """Return the setting of each preset for a scene, by the name of the preset."""
+    """Return name of a preset -> its setting for a scene.
+
+    numbers, stiff: `scene_numbers` and `stiffness` of the scene.
+    """
     chosen = {name: presets.decided(numbers, stiff, name) for name in PRESETS}
     return {name: setting_of(one.solver, numbers.dt, one.start) for name, one in chosen.items()}
 
 
 def ladder(numbers: SceneNumbers) -> list:
-    """Return a short list of settings, both cheaper and dearer than those of the presets."""
+    """Return a short list of settings for a scene, some cheaper and some dearer than those of the presets.
+
+    numbers: `scene_numbers` of the scene.
+    """
     k = presets.parts_for(numbers, TIME_STEP)
     solvers = [
         PGS(sweeps=4, tolerance=None, substeps=2 * k),

@@ -45,13 +45,15 @@ REFERENCE = "reference"
 class Trade:
     """Cost and errors of settings on a scene. `print` and notebooks show a table.
 
-    rows: for each setting {"name", "setting", "group": method or engine, "seeds": number of seeds, "us": time of a step
+    scene: name of the scene. n_bodies: number of its circles. dt: its Δt, s. steps: number of steps of a run. settings:
+    name -> setting (`measure.settings`).
+    rows: for each setting {"name", "setting", "group": solver or engine, "seeds": number of seeds, "us": time of a step
     of Δt, µs, or None, "errors": name -> (value, low, high) or None}; the errors of `ERRORS` are in their units, those
     of quantities are relative.
     noise: name of an error -> its size by the choice of seeds alone. converged: name of an error -> its change if the
-    reference's step is halved. notes: sentences on the result. by_preset: preset -> name of the setting that the study
-    chooses for it. reference: the setting with small steps, against which errors are measured; it is not the preset of
-    that name. half: the reference with half its step.
+    reference's step is halved. notes: sentences on the result. by_preset: name of a preset -> name of the setting that
+    the preset chooses. reference: the setting with small steps, against which errors are measured; it is not the preset
+    of that name. half: the reference's setting with half its step.
     """
 
     scene: str
@@ -118,7 +120,7 @@ class Trade:
         return min(mine, key=lambda row: (excess(row, 0), row["us"]))
 
     def enough(self, name: str, difference: float) -> int:
-        """Return the number of seeds with which the error by chance is at most half of `difference`.
+        """Return the number of seeds with which chance contributes at most half of `difference` to an error.
 
         name: name of the error. difference: difference between errors of settings, in the unit of the error.
         """

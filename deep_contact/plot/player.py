@@ -14,8 +14,8 @@ bytes, compressed by deflate, and encoded in base64.
 | colour | circle  | value, in steps of 1/65,535 of the range `colours`; only with `colour=`                 |
 | lines  | segment | ends x, y, x, y, in steps as for x and y                                                |
 | a, b   | contact | first circle a, minus a of the contact before; second body b, minus a                   |
-| normal | contact | integer k of the normal force (k / 65,535)² `topForce`, N: small forces have fine steps |
-| across | contact | integer k of the friction force, as for normal, with a sign                             |
+| normal | contact | k, where (k / 65,535)² `topForce` is the normal force, N: fine steps for small forces   |
+| across | contact | k of the friction force, as in normal, with a sign                                      |
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ def _grid(states: Sequence) -> tuple[np.ndarray, float, list[np.ndarray]]:
 def _differences(of_states: Sequence[np.ndarray]) -> np.ndarray:
     """Return the numbers of each state minus those of the state before, as one array, int64.
 
-    Where the state before has fewer numbers, the others stay as they are.
+    If a state has more numbers than the state before, the additional numbers stay as they are.
     """
     found = [values.astype(np.int64) for values in of_states]
     for before, after in reversed([*pairwise(found)]):

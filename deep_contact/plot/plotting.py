@@ -63,8 +63,8 @@ START_STYLE = {
 """Name of a start -> keyword arguments for `ax.plot`, which are the same in every figure."""
 
 SHARING = "#17BECF"
-"""Colour of "sharing", by which the thesis's authors get impulses back from the grid, in figures that also show
-starts."""
+"""Colour of "sharing" in figures that also show starts. Sharing is the way in which the thesis's authors get the
+impulses of contacts back from the grid."""
 
 ENGINE_MARKER = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
 """Name of another physics engine -> its marker. Other engines are drawn in grey."""
@@ -131,8 +131,8 @@ def styles_of(names: Iterable[str]) -> dict[str, dict]:
     """
     looks = {name: START_STYLE.get(name) for name in names}
     taken = {look["color"] for look in looks.values() if look}
-    # Seven colours and four lines have no common factor, so they make 28 different pairs. Colours of the starts among
-    # the names are left out, unless these have all seven.
+    # Seven colours and four lines have no common factor, so they make 28 different pairs. If there are starts among the
+    # names, their colours are left out, unless they have all seven.
     pairs = zip(cycle(CYCLE), cycle(("-", "--", "-.", ":")))
     free = (pair for pair in pairs if pair[0] not in taken or taken >= set(CYCLE))
     return {name: look or dict(zip(("color", "linestyle"), next(free)), label=name) for name, look in looks.items()}

@@ -1,4 +1,4 @@
-"""Reuse of the last run of `simulate`, for a call that continues from the state that the call before has returned."""
+"""The last run of `simulate`, stored so that a call that continues from its final state can reuse it."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class _LastRun(threading.local):
     def keep(self, run: Simulator, how: tuple) -> StateWithContacts:
         """Return the final state of a run, and store the run for a call that continues from this state.
 
-        how: `RunOptions.how` of the run. A run is not stored if it has a push, another start than Builtin, or too many
-        circles.
+        how: `RunOptions.how` of the run. A run is not stored if it has a push, another start than Builtin, a
+        measurement in place of a preset, or more than `KEPT` circles.
         """
         plain = isinstance(run._start, Builtin) and run._options.push is None and isinstance(how[1], (str, type(None)))
         if not plain or run._scene.bodies.count > KEPT:
@@ -47,7 +47,7 @@ class _LastRun(threading.local):
     def take(self, state: State, how: tuple) -> Simulator | None:
         """Return the stored run if it has led to this state with the same options `how`. Otherwise return None.
 
-        The result is also None if someone has written into the arrays of the state.
+        The result is also None if the arrays of the state have been written to since.
         """
         kept, self.kept = self.kept, None
         if kept is None or kept[0]() is not state or kept[1] != how:

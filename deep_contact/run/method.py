@@ -50,10 +50,11 @@ class Method(NamedTuple):
 
 
 def method_of(state: State, solver=None, start="builtin", accuracy=None, *, sleep=False) -> Method:
-    """Return the `Method` of a run from this state: by `accuracy`, by `solver`, or by the state's solver.
+    """Return the `Method` of a run from this state.
 
-    Without any of these the solver is that of the preset "fast". Raises ValueError if the arguments do not fit each
-    other.
+    The preset `accuracy` chooses solver and start. Without a preset the solver is `solver`, or else the state's solver,
+    or else that of the preset "fast", and the start is `start`. sleep: whether circles may sleep. Raises ValueError if
+    the arguments do not fit each other.
     """
     if accuracy is not None and solver is not None:
         raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")

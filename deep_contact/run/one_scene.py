@@ -74,14 +74,16 @@ def simulate(
     state has none.
     warm_start: the start of each solve: a name; a callable as in `deep_contact.warm_start`, which is called before each
     step; a network from `dc.load_model`, or the path of its file, "….h5"; or None, which means impulses of 0.
-    accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest
-    setting that, as measured, keeps the errors of a run within the tolerances of this preset (`presets.PRESETS`); or a
-    `Trade` that `measure_trade` measured on your scene. If the scene's circles are too small or too fast for its Δt,
-    the step is divided into substeps. At step 0, contacts without impulses, as of positions from another source, get
-    impulses at which the circles rest, if there are any (`starts.impulses_at_rest`), or accurately solved impulses.
-    sleep: whether an island falls asleep once it has been still for `State.scales.sleep_time` (0.5 s for circles of r =
-    1 m), as in Box2D 2.3. It wakes when something touches it or the push on it changes (`stepping.sleeping`). States do
-    not store which circles sleep: a run that continues from a state starts with all circles awake.
+    accuracy: a preset, "preview", "fast", "balanced", "accurate" or "reference", which chooses solver and start: the
+    cheapest of the measured settings whose errors are within the tolerances of the preset (`presets.PRESETS`). A
+    `Trade`, the result of `measure_trade` on your scene, can choose in place of a preset. If the scene's circles are
+    too small or too fast for its Δt, the chosen solver divides each step into substeps. If no contact has an impulse at
+    step 0, as in a scene of positions alone, contacts get impulses at which the circles rest, if there are any
+    (`starts.impulses_at_rest`), or accurately solved impulses.
+    sleep: whether an island, a group of connected circles, falls asleep once it has been still for
+    `State.scales.sleep_time` (0.5 s for circles of r = 1 m), as in Box2D 2.3. The island wakes when something touches
+    it or the push on it changes (`stepping.sleeping`). States do not store which circles sleep: a run that continues
+    from a state starts with all circles awake.
     push: external forces on the circles besides gravity, (n, 2), N, or a tuple of forces and torques, (n,), N·m; or a
     function of the state that returns them, which is called before each step. They do not act on fixed circles.
     record: number of steps between two recorded states. The first and the last state are recorded too.

@@ -35,8 +35,8 @@ class Choice(NamedTuple):
 class Plan:
     """Solver, start and features of a run of a scene. `print` shows all of them.
 
-    us: time of a step on the processor of the study, μs, an upper bound if steps are solved to a tolerance; None if no
-    preset chose the solver. choices: name of a feature of the model -> `Choice`.
+    us: time of a step on the processor of the presets' study, μs, an upper bound if steps are solved to a tolerance;
+    None if no preset chose the solver. choices: name of a feature of the model -> `Choice`.
     """
 
     scene: str

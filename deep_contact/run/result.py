@@ -39,8 +39,8 @@ class Simulation(NamedTuple):
     |             | `Trajectory`; None without forces=True                                                   |
     | on_circles  | sum of the contact impulses on circles until each recorded state, (T, n, 2), N·s; None   |
     |             | without moving segments, fixed circles and pushes                                        |
-    | shifts      | momentum from gravity in excess of m g t until each recorded state, (T, n, 2), N·s;      |
-    |             | None if e = 0, or if there are `on_circles`                                              |
+    | shifts      | momentum that gravity gives each circle until each recorded state, minus m g t,          |
+    |             | (T, n, 2), N·s; None if e = 0, or if there are `on_circles`                              |
 
     If steps have substeps, contacts and θ are those of a step's last substep. Sweeps and relaxations are sums over its
     substeps.

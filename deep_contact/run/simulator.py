@@ -221,7 +221,7 @@ class Simulator:
     def _change(self, state: State, push=None) -> None:
         """Continue from another state.
 
-        push: the new push. With None, a push that is a function stays; otherwise the push is that of the state.
+        push: the new push. If it is None, a push that is a function stays, and any other push becomes that of `state`.
         """
         if push is None:
             push = self._options.push if callable(self._options.push) else state.push
@@ -374,11 +374,10 @@ class Simulator:
         return done
 
     def _start_from_python(self, contacts: Contacts) -> tuple[Contacts, StepProblem | None]:
-        """Return (contacts, problem): the contacts with the impulses of a start in Python, and the contact problem or
-        None.
+        """Call the start and the push before a step, if they are functions in Python. Returns (contacts, problem).
 
-        The contact problem is returned if the start has built it. If the push is a function, it is called here, and its
-        forces replace those of the last step.
+        The contacts have the starting impulses. The problem is the contact problem, if the start has built it, or None.
+        The forces of the push replace those of the last step.
         """
         push, solver, problem = self._options.push, self._scene.solver, None
         if callable(push):
@@ -396,7 +395,7 @@ class Simulator:
 class _Now(NamedTuple):
     """Contacts, number of steps, time (s) and `State.solved` of a `Simulator` at one time.
 
-    A step replaces them by one assignment, so that an interrupt finds the values before the step or after it.
+    A step replaces all four in one assignment. An interrupt therefore finds all from before the step or all from after.
     """
 
     contacts: Contacts

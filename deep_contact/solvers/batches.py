@@ -1,12 +1,13 @@
 """The data structure of `solvers.batched`: batches of contacts that share no circle, stored in tiles of eight contacts.
 
-In a sweep of `stepping.rows`, each contact waits for the velocities that the contact before it writes. No circle occurs
-twice in a batch, so that one vector operation relaxes eight of its contacts (`compiled.simd`). Contacts of a batch may
+In a sweep of `stepping.rows`, each contact waits for the velocities that the contact before it writes. In a batch no
+circle occurs twice, so that one vector operation can relax eight contacts (`compiled.simd`). Contacts of a batch may
 share a wall, because no impulse changes the velocity of a wall.
 
 The list of contacts is divided into blocks of `BLOCK` contacts, and the contacts of each block are coloured greedily.
 The contacts of one colour in a block are a batch. Blocks are relaxed phase by phase, and the blocks of a phase share no
-circle. This order is part of the result: with more than two blocks, the order of the list gives other bits.
+circle. This order is part of the result: if more than two blocks were relaxed in the order of the list, the bits would
+differ.
 
 A batch is stored as tiles of eight contacts. In each unused lane of its last tile, the idle body touches itself. The
 idle body has no inverse mass, so that such a contact changes nothing. Each block has five bodies of its own besides the
@@ -62,8 +63,9 @@ BLOCK = 1024
 fastest cache."""
 
 COLOURS = 64
-"""Number of bits of a mask: the largest number of colours in a block, and of phases. A contact without a free colour is
-a batch of its own. Blocks without a free phase come last, in the order of the list."""
+"""Largest number of colours in a block, and largest number of phases: the number of bits in a mask of `BatchPlan.mark`.
+A contact for which no colour is free is a batch of its own. Blocks for which no phase is free come last, in the order
+of the list."""
 
 CONTACTS, BLOCKS, TILES, CIRCLES, ROWS = range(5)
 """Indices into `BatchPlan.count`."""
@@ -103,7 +105,10 @@ class Tiles(NamedTuple):
 
 @njit(cache=True)
 def make_plan(n, capacity):
-    """Return buffers for a plan of `capacity` contacts of n circles. Its counts are −1, so that it fits no contacts."""
+    """Return a plan with buffers for `capacity` contacts of n circles.
+
+    Its counts are −1, so that it fits no contacts yet.
+    """
     blocks = capacity // BLOCK + 1
     whole = np.int64
     return BatchPlan(
@@ -115,7 +120,7 @@ def make_plan(n, capacity):
 
 @njit(cache=True)
 def make_tiles(rows, tiles):
-    """Return uninitialised buffers for `rows` rows of bodies and for `tiles` tiles."""
+    """Return uninitialised `Tiles` with `rows` rows of bodies and `tiles` tiles of contacts."""
     return Tiles(
         np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 6, WIDTH)), np.empty((tiles, 2, WIDTH)),
         np.empty((rows, 4)), np.empty((rows, 4)),
@@ -176,7 +181,7 @@ def choose_batches(body_a, body_b, n, begin, end, plan):
     mark, batches, alone, segments = plan.mark, 0, 0, 0
     nothing, one = np.uint64(0), np.uint64(1)
     taken = of_a = nothing
-    held = np.uint32(body_a[begin])  # contacts are sorted by body a, so that its marks stay in registers
+    held = np.uint32(body_a[begin])  # contacts are sorted by body a, so that the marks of body a stay in registers
     for i in range(begin, end):
         a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
         if a != held:
@@ -366,7 +371,8 @@ def fill_rows(tiles, first, last):
         w_a, w_b = load_rows(v, body, 2 * t)[INVERSE_MASS], load_rows(v, body, 2 * t + 1)[INVERSE_MASS]
         d_x, d_y = b_x - a_x, b_y - a_y
         distance, coincide = root(times(d_x, d_x) + times(d_y, d_y)), times(tiny, r_a + r_b)
-        # Lanes whose body b has no inverse mass do not count, such as unused lanes, where the idle body meets itself.
+        # In the test for coinciding centres, only lanes whose body b has an inverse mass count. This leaves out unused
+        # lanes, in which the idle body touches itself.
         nearest = least(nearest, where_less(none, w_b, distance - coincide, one))
         written_x, written_y = load(data, row + N_X), load(data, row + N_Y)
         n_x = where_less(distance, coincide, written_x, d_x / distance)

@@ -18,17 +18,17 @@ from deep_contact.stepping.interface import Loop, SolverOptions, register, toler
 from deep_contact.stepping.rows import CONTRACT, SUMS, sweep
 
 FIRST_MOMENTUM = 0.9
-"""Upper bound of the momentum β at the first sweep."""
+"""Upper bound of the momentum β after the first sweep (`relax_nesterov`)."""
 
 MAX_MOMENTUM = 0.99
-"""Largest value of the upper bound of β."""
+"""Largest value that the upper bound of β takes."""
 
 MOMENTUM_WINDOW = 5
-"""Number of sweeps between two adaptations of the upper bound of β."""
+"""Number of sweeps between two regular adaptations of the upper bound of β."""
 
 SUDDEN_GROWTH = 1.2
-"""Ratio of the squared change of the impulses in a sweep to that in the sweep before, above which the upper bound of β
-is lowered at once."""
+"""If the squared change of the impulses in a sweep exceeds that in the sweep before by more than this factor, the upper
+bound of β is lowered at once."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,9 +38,9 @@ class NesterovPGS(SolverOptions):
     The momentum restarts by the gradient scheme of O'Donoghue and Candès (Foundations of Computational Mathematics 15,
     2015). The options are those of every solver (`SolverOptions`).
 
-    Weakness: the bound adapts to the last sweeps, so it reacts late when contacts open or slip, and the error may then
-    grow for some sweeps. Fewer than ten sweeps gain little. With friction convergence is not proven, and θ does not
-    fall with every sweep.
+    Weakness: the bound follows from the last sweeps. When contacts open or begin to slip, it therefore reacts late, and
+    the error may grow for some sweeps. Fewer than ten sweeps gain little over `PGS`. With friction convergence is not
+    proven, and θ does not fall with every sweep.
     """
 
 
@@ -49,18 +49,21 @@ NesterovSettings = namedtuple("NesterovSettings", ["tolerance"])
 
 @njit(cache=True)
 def relax_nesterov(settings, rows, friction, solver_bodies, theta, workspace):
-    """Do sweeps with Nesterov's momentum: each sweep starts from λ + β (λ − λ of the sweep before).
+    """Do sweeps with Nesterov's momentum: each sweep starts from an extrapolation of the results of the last two.
 
-    β = (t − 1) / t⁺ with t⁺ = (1 + √(1 + 4 t²)) / 2, from t = 1. t restarts at 1 if the change of λ by the sweep and
-    the change of λ since the sweep before have a negative scalar product (gradient scheme of O'Donoghue and Candès
-    2015).
+    Let a sweep start from impulses λ* and end at λ, and let λ⁻ be the result of the sweep before. The next sweep starts
+    from λ + β (λ − λ⁻), with β = (t − 1) / t⁺ and t⁺ = (1 + √(1 + 4 t²)) / 2. The number t begins at 1 and becomes t⁺
+    after each sweep. If the scalar product of λ − λ* and λ − λ⁻ is negative, the momentum restarts: β is 0 for the next
+    sweep, and t becomes 1 (gradient scheme of O'Donoghue and Candès 2015).
 
-    With friction this rule alone makes the impulses cycle around the solution. β therefore has an upper bound. 1 −
-    bound doubles when the sum of the squared changes grows from one window of sweeps to the next, or suddenly in one
-    sweep. After a window without growth, 1 − bound falls by a fifth.
+    With friction this rule alone makes the impulses cycle around the solution. Therefore β is at most 1 − ε, where ε
+    adapts to s = Σ (λ − λ*)², the squared change of the impulses in a sweep. If s grows by more than the factor
+    `SUDDEN_GROWTH` from one sweep to the next, ε doubles. `MOMENTUM_WINDOW` sweeps form a window. After each window, ε
+    doubles if the sum of s is larger than in the window before, and otherwise falls by a fifth.
 
-    Velocities are extrapolated like the impulses, and the last sweep is not extrapolated, as in `relax_nncg`. Arguments
-    and result are those of `Loop.relax` (`stepping.interface`).
+    The solver bodies' velocities are extrapolated like the impulses. The result of the last sweep is not extrapolated,
+    so that the returned impulses lie in the friction cone. Arguments and result are those of `Loop.relax`
+    (`stepping.interface`).
     """
     impulse, velocity = rows.impulse.reshape(rows.impulse.size), solver_bodies.reshape(solver_bodies.size)
     if impulse.size > workspace.last_impulse.size or velocity.size > workspace.last_velocity.size:
@@ -83,16 +86,16 @@ def relax_nesterov(settings, rows, friction, solver_bodies, theta, workspace):
 
 
 FIRST_MEMORY = (1.0, FIRST_MOMENTUM, np.inf, np.inf, 0.0)
-"""Memory of `next_momentum` before the first sweep: t, the bound of β, and the squared changes of the impulses in the
-last sweep, in the last window and in this window."""
+"""The `memory` of `next_momentum` before the first sweep. It has five numbers: t, the upper bound of β, and squared
+changes of the impulses: that of the last sweep, and the sums over the window before and over the present window."""
 
 
 @njit(cache=True)
 def next_momentum(k, impulse, swept_from, last, memory):
-    """Return (β, memory) after the k-th sweep, counted from 0.
+    """Return β for the extrapolation after sweep k, and the new memory. The first sweep has k = 0.
 
-    The sweep changed the impulses from `swept_from` to `impulse`. last: impulses after the sweep before. memory: as
-    `FIRST_MEMORY`.
+    swept_from, impulse: impulses before and after this sweep. last: impulses after the sweep before. memory: the result
+    after that sweep, or `FIRST_MEMORY`.
     """
     t, bound, last_size, before, now = memory
     size, downhill = step_and_slope(impulse, swept_from, last)
@@ -125,7 +128,7 @@ def step_and_slope(x, swept_from, last):
 
 @njit(cache=True, fastmath=CONTRACT)
 def extrapolate(x, last, share):
-    """Set x to x + share (x − last), and `last` to the old x, in place."""
+    """Add share (x − last) to x, and set `last` to the old x, in place."""
     for i in range(x.shape[0]):
         new = x[i]
         x[i] = new + share * (new - last[i])

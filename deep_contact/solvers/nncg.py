@@ -36,8 +36,9 @@ NNCGSettings = namedtuple("NNCGSettings", ["tolerance"])
 class Directions(NamedTuple):
     """Workspace of `relax_nncg` and `relax_nesterov`: flat arrays with the sizes of the impulses and the solver bodies.
 
-    `last_impulse` and `last_velocity` have the values after the last sweep. `along` and `velocity_along` are the
-    directions.
+    `last_impulse` and `last_velocity` have the impulses and velocities from which the last sweep started. `along` and
+    `velocity_along` have the directions in which `relax_nncg` extrapolates them. (`relax_nesterov` uses the arrays in
+    another way.)
     """
 
     last_impulse: np.ndarray
@@ -48,7 +49,7 @@ class Directions(NamedTuple):
 
 @njit(cache=True)
 def make_directions(rows, solver_bodies):
-    """Return uninitialised `Directions` of the size of these rows and solver bodies."""
+    """Return uninitialised `Directions` for these rows and solver bodies."""
     size, width = rows.impulse.size, solver_bodies.size
     return Directions(np.empty(size), np.empty(size), np.empty(width), np.empty(width))
 
@@ -57,10 +58,13 @@ def make_directions(rows, solver_bodies):
 def relax_nncg(settings, rows, friction, solver_bodies, theta, workspace):
     """Do sweeps with nonlinear conjugate gradients. The change of λ in a sweep is the descent direction −∇f.
 
-    After each sweep, λ ← λ + β p and p ← β p − ∇f with β = ‖∇f‖² / ‖∇f of the sweep before‖² (Fletcher-Reeves). If β >
-    1, p ← 0. Velocities are linear in λ, so they have a direction of their own, which is updated in the same way
-    instead of being summed over the contacts. The last sweep is not extrapolated, so that the returned impulses lie in
-    the friction cone. Arguments and result are those of `Loop.relax` (`stepping.interface`).
+    p is the search direction, at first 0. After each sweep, β p is added to λ, and p becomes β p − ∇f. Here β is ‖∇f‖²
+    divided by its value in the sweep before (Fletcher-Reeves). If β exceeds 1, the method restarts: λ is not
+    extrapolated, and p becomes 0.
+
+    The velocities are linear in λ. They are therefore extrapolated in the same way, with a direction of their own, and
+    need no sum over the contacts. The result of the last sweep is not extrapolated, so that the returned impulses lie
+    in the friction cone. Arguments and result are those of `Loop.relax` (`stepping.interface`).
     """
     # Flat views, so that the loops over all numbers vectorise.
     impulse, velocity = rows.impulse.reshape(rows.impulse.size), solver_bodies.reshape(solver_bodies.size)

@@ -58,9 +58,10 @@ def relax_pgs(settings, rows, friction, solver_bodies, theta, workspace):
 def relax_islands(settings, rows, friction, solver_bodies, theta, workspace):
     """Do sweeps over one island after the other, in place. Returns (sweeps, relaxations).
 
-    `sweeps` is the number of sweeps of the island that needs most. `relaxations` counts the relaxed contacts of all
-    sweeps. θ of a sweep is the largest over the islands that did this sweep. The last θ therefore tells whether all
-    islands are within the tolerance. Arguments are those of `Loop.relax` (`stepping.interface`).
+    `sweeps` is the number of sweeps of the island that needs most. `relaxations` is the number of relaxations of a
+    contact in all sweeps of all islands. θ of sweep k is the largest over the islands that did k sweeps or more. An
+    island that did fewer is within the tolerance, so that the last θ tells whether all are. Arguments are those of
+    `Loop.relax` (`stepping.interface`).
     """
     if rows.body.shape[0] > workspace.order.shape[0]:
         workspace = make_islands_workspace(rows, solver_bodies)

@@ -28,8 +28,8 @@ from deep_contact.stepping.rows import best_share, projected
 from deep_contact.stepping.substeps import shift_flights
 
 SWEEPS = 500, 2000
-"""Smallest and largest number of sweeps of an accurate solve. Between these limits it is the number of circles. After
-fewer sweeps the circles of a pile would sink into each other."""
+"""Smallest and largest number of sweeps of an accurate solve. Between these limits there are as many sweeps as circles.
+After fewer sweeps the circles of a pile would sink into each other."""
 
 CLOSE = 10.0
 """Tolerance of an accurate solve after a change of the load, as a multiple of the default tolerance of solvers."""
@@ -39,7 +39,7 @@ KICK = 0.001
 """
 
 RELAXED = 2000
-"""Largest number of iterations of the convex relaxation (`impulses_at_rest`). It is used if circles hardly move."""
+"""Largest number of iterations of the convex relaxation (`impulses_at_rest`), which is used if circles hardly move."""
 
 ENDS = 1e-4
 """Rms speed at which the iterations of the relaxation end, as a multiple of g Δt, the speed that gravity adds in a
@@ -76,7 +76,7 @@ def has_new_load(state: State) -> bool:
 
 
 def with_new_load(state: StateWithContacts, solver) -> StateWithContacts:
-    """Return the state with impulses that fit its load. The state carries the impulses of another load.
+    """Return a state that carries the impulses of another load, with starting impulses that fit its own load.
 
     The carried impulses stay if the solver, starting from them, leaves no more energy than from impulses of 0, and
     raises the top speed by at most `KICK`. Otherwise the impulses are solved anew. This solve starts from the carried
@@ -106,7 +106,8 @@ def with_new_load(state: StateWithContacts, solver) -> StateWithContacts:
 def with_a_past(state: StateWithContacts) -> StateWithContacts:
     """Return the state with starting impulses that follow from its positions alone.
 
-    They are impulses at which the circles rest, if there are any, and otherwise accurately solved impulses.
+    They are impulses at which the circles rest, if there are any, and otherwise accurately solved impulses. The state
+    is returned unchanged if these impulses would leave more energy than impulses of 0.
     """
     if state.contacts.count == 0:
         return state
@@ -122,8 +123,9 @@ def with_a_past(state: StateWithContacts) -> StateWithContacts:
 def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:
     """Return impulses (λ_n, λ_t), (m,) each, N·s, at which the state rests, or else accurately solved impulses.
 
-    The convex relaxation searches for rest if the circles hardly move. normal, tangent: impulses to start from, (m,)
-    each, N·s. problem: `StepProblem` of the state. tolerance: θ at which the sweeps end, N·s, or None.
+    If the circles hardly move, the convex relaxation searches for impulses at rest. If it finds none, or if the circles
+    move faster, NesterovPGS solves the contact problem. normal, tangent: impulses to start from, (m,) each, N·s.
+    problem: `StepProblem` of the state. tolerance: θ at which the sweeps of NesterovPGS end, N·s, or None.
     """
     gained, speed = state.dt * math.hypot(*state.world.gravity), math.inf
     ends, rests = ENDS * gained, RESTS * gained
@@ -137,7 +139,11 @@ def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float 
 
 
 def _left(state: State, normal, tangent, solver, problem: StepProblem) -> tuple[float, float]:
-    """Return (energy norm, √J; top speed, m/s) of the velocities after a solve that starts from these impulses."""
+    """Return (energy norm, √J; top speed, m/s) of the velocities that a solve leaves.
+
+    normal, tangent: impulses from which it starts, (m,) each, N·s. solver: its options. problem: `StepProblem` of the
+    state.
+    """
     solution = solve(state, solver, normal, tangent, problem)
     energy = energy_norm(state.bodies, solution.velocities, solution.angular_velocities)
     return energy, float(np.hypot(*solution.velocities.T).max())
@@ -171,9 +177,9 @@ def with_time_step(state: State, dt: float) -> State:
 
 
 def with_shifted_flights(state: StateWithContacts, change: float) -> StateWithContacts:
-    """Return the state of a run whose substeps become shorter by `change`, s.
+    """Return the state with corrected velocities, for a run whose substeps become shorter by `change`, s.
 
-    If e > 0, the velocities of circles in flight are corrected, so that the circles keep their energy.
+    Only the velocities of circles in flight are corrected, and only if e > 0. These circles then keep their energy.
     """
     if change == 0.0 or state.world.restitution == 0.0 or state.step == 0:
         return state

@@ -57,8 +57,8 @@ class Scaled(FromProblem):
     In an impact the carried impulses are too large or wrong, and α is small. At rest α is 1. The search costs one pass
     over the contacts. If the steps of a run are solved well, this start saves sweeps in impacts.
 
-    Weakness: there is one α for all contacts. If each step is solved only in part, Builtin completes the impulses over
-    several steps. α reduces these impulses, so that piles sink.
+    Weakness: there is one α for all contacts. With few sweeps a step, Builtin's impulses grow to their full size only
+    over several steps. A factor α < 1 keeps them too small, so that piles sink.
     """
 
     def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:

@@ -36,10 +36,10 @@ LOOKS = 25
 """Number of iterations between two tests whether the circles rest, and number of iterations of the power method."""
 
 SPARE = 1.1
-"""Factor by which the lower bound of the largest eigenvalue is multiplied."""
+"""Factor on every lower bound of the largest eigenvalue, so that the product is rarely too small."""
 
 GOLDEN = 0.6180339887498949
-"""Golden section. Its products with square numbers have no pattern modulo 1."""
+"""Golden section (√5 − 1) / 2. Its products with square numbers have no pattern modulo 1."""
 
 
 def at_rest(problem, normal, tangent, *, iterations: int, speed: float) -> tuple[np.ndarray, np.ndarray, float]:
@@ -100,8 +100,9 @@ def approach(rows, friction, v, step, trial, old):
     """Move the trial impulses against the gradient J v, and project them onto the cones, in place.
 
     Both rows of a contact are scaled by the effective mass of its normal row, so that the friction cone keeps its
-    shape. step: length of the step in the scaled impulses. old: impulses after the iteration before. Returns the
-    product of the gradient and the change from the old impulses, and the square of the step in the scaled impulses.
+    shape. step: factor of the gradient in the scaled impulses. old: impulses after the iteration before. Returns two
+    numbers: the scalar product of the gradient and the change from `old` to `trial`, and the squared length of the move
+    in the scaled impulses.
     """
     body, data, along, square = rows.body, rows.data, 0.0, 0.0
     for i in range(body.shape[0]):

@@ -57,9 +57,9 @@ def supported(state, problem) -> tuple[np.ndarray, np.ndarray]:
 def hand_down(rows, friction, v, still, height, order):
     """Fill the impulses of the rows by passing loads down, circle by circle, in place on the impulses and on v.
 
-    v: solver bodies, (n + 4, 4), after gravity has acted. still: solver bodies before gravity, whose velocities are
-    those of the lower bodies, as if loads did not move them. height: potential g h of each solver body, m²/s². order:
-    circles, highest first.
+    v: solver bodies, (n + 4, 4), after gravity has acted. still: solver bodies before gravity has acted. When a circle
+    is visited, the bodies below it have the velocities of `still`, as if loads did not move them. height: potential g h
+    of each solver body, m²/s². order: indices of the circles, the highest first.
     """
     body, data, impulse = rows.body, rows.data, rows.impulse
     n, m = order.shape[0], body.shape[0]
@@ -97,9 +97,10 @@ def upper_of(body, height, i):
 
 @njit(cache=True, error_model="numpy")
 def carry(a, i, rows, friction, v, still):
-    """Relax contact i for circle a alone, first its friction row, then its normal row.
+    """Relax contact i of circle a, first the friction row, then the normal row.
 
-    `still` has the velocity of the other body. The impulse of the contact and the velocity of circle a change in place.
+    Only the impulse of the contact and the velocity of circle a change, in place. The other body has its velocity in
+    `still`.
     """
     body, data, impulse = rows.body, rows.data, rows.impulse
     is_a = body[i, BODY_A] == a
@@ -121,8 +122,8 @@ def carry(a, i, rows, friction, v, still):
 def push(v, a, sign, normal, arm, impulse):
     """Apply an impulse (λ_n, λ_t), N·s, to one body of a contact, in place.
 
-    a: the body. sign: −1 if it is body_a of the contact, 1 if it is body_b. arm: distance of the contact point from its
-    centre, divided by its radius.
+    a: the body. sign: −1 if the body is body_a of the contact, 1 if it is body_b. normal: unit normal of the contact.
+    arm: distance of the contact point from the centre of the body, divided by the body's radius.
     """
     w, (n_x, n_y), (p_n, p_t) = v[a, INVERSE_MASS], normal, impulse
     v[a, V_X] += sign * w * (p_n * n_x + p_t * n_y)

@@ -153,9 +153,9 @@ class Contacts(NamedTuple):
 
     @property
     def have_past(self) -> bool:
-        """Whether any starting impulse differs from 0.
+        """Whether any starting impulse differs from 0, as after an earlier step.
 
-        It does after an earlier step. It does not if the contacts follow from positions alone.
+        In a state made from positions alone, all starting impulses are 0.
         """
         return bool(self.normal_start.any() or self.tangent_start.any())
 

@@ -39,12 +39,11 @@ def make_bodies(
 ) -> Bodies:
     """Make circles from their centres. Every other argument is one value for all circles, or one value for each circle.
 
-    position: centres, (n, 2), m. radius: radii, m; 1 m if they are left out, also
-    where positions come from a file. velocity: velocities of the centres, (2,) or (n, 2), m/s. angle:
-    orientations, rad, counter-clockwise. spin: angular velocities, rad/s, counter-clockwise. density: mass per area,
-    kg/m², used if `mass` is None. mass: masses, kg. fixed: whether no force or contact changes the motion of a circle;
-    a fixed circle has an infinite mass (`Bodies`), whatever `mass` and `density` are. Raises ValueError naming the
-    field, the body and the value.
+    position: centres, (n, 2), m. radius: radii, m; by default 1 m. velocity: velocities of the centres, (2,) or (n, 2),
+    m/s. angle: orientations, rad, counter-clockwise. spin: angular velocities, rad/s, counter-clockwise. density: mass
+    per area, kg/m², used if `mass` is None. mass: masses, kg. fixed: whether no force or contact changes the motion of
+    a circle; a fixed circle has an infinite mass (`Bodies`), whatever `mass` and `density` are. Raises ValueError
+    naming the field, the body and the value.
     """
     places = real_numbers(position)
     if places is None or np.atleast_2d(places).shape[1:] != (2,):
@@ -147,11 +146,11 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
 
 
 def contact_faults(fields: Mapping, n: int, segments: int) -> Iterator[tuple[str, np.ndarray, str]]:
-    """Yield the name of a field, flags of the contacts that break its rule, (m,), and the rule in words.
+    """Yield, for each field of contacts with a rule, its name, flags of the contacts that break the rule, and the rule.
 
-    fields: arrays of `Contacts` by name, (m, …) each. n: number of circles. segments: number of segments of the world.
-    A negative normal impulse, which would be tensile, breaks a rule. Starting impulses have no rule, since the solver
-    only begins from them.
+    The flags are (m,); the rule is in words. λ_n < 0, which would be tensile, breaks a rule. Starting impulses have no
+    rule, since the solver only begins from them. fields: arrays of `Contacts` by name, (m, …) each. n: number of
+    circles. segments: number of segments of the world.
     """
     a, b, end, fixed = fields["body_a"], fields["body_b"], n + 4 + segments, "walls, segments" if segments else "walls"
     yield "body_a", (a < 0) | (a >= n), f"a circle, 0 to {n - 1}"
@@ -178,7 +177,7 @@ def check_kept_contacts(before: State, after: State) -> None:
 
 
 def warn_of_jumps(before: World, after: World) -> bool:
-    """Warn if a segment has another position in the second world, but no velocity there.
+    """Warn if a segment has another position in `after` than in `before`, and does not move in `after`.
 
     Returns whether there is such a segment. Worlds with different numbers of segments are not compared.
     """
