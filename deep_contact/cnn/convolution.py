@@ -99,9 +99,9 @@ class Image(NamedTuple):
 class Program:
     """The network `architectures.far_field` compiled for images of one shape.
 
-    weights: name of a layer -> [kernel, bias], as in `model_file.StoredNetwork`. shape: (n_y, n_x), the numbers of nodes
-    of an image along y and x, each one more than a multiple of 8. Several threads may call a program at once, because
-    each call has its own workspace. Raises ValueError if the layers are not those of `layer_shapes`.
+    weights: name of a layer -> [kernel, bias], as in `model_file.StoredNetwork`. shape: (n_y, n_x), the numbers of
+    nodes of an image along y and x, each one more than a multiple of 8. Several threads may call a program at once,
+    because each call has its own workspace. Raises ValueError if the layers are not those of `layer_shapes`.
     """
 
     def __init__(self, weights: dict[str, list[np.ndarray]], shape: tuple[int, int]):

@@ -200,7 +200,7 @@ def _most_nodes(geometry, n_y, n_x, h):
 
 @njit(cache=True, error_model="numpy")
 def _splat_core(geometry, position, values, h, kernel, normalization, unreached, outside, image):
-    """Add Σ_k w_jk S_k to every node j of `image`, in place (Algorithms 2 and 3).
+    """Add Σ_k w_jk S_k to every node j of `image`, in place (Algorithms 2 and 3). w_jk: weight of particle k at node j.
 
     geometry: `Grid._geometry`. position: particles, (k, 2), m. values: S, (k, c). h: support radius, m. kernel: number
     of the kernel. normalization, unreached, outside: integers of `_OPTIONS`. image: (n_y, n_x, c).
@@ -334,7 +334,7 @@ def splat(
 def density(
     grid: Grid, position, *, h: float, kernel: str = "poly6", unreached: str = "error", outside: str = "error"
 ) -> np.ndarray:
-    """Return the density image D_j = Σ_k w_jk, (n_y, n_x), which is the splat of ones normalised by particle.
+    """Return the density image D_j = Σ_k w_jk, (n_y, n_x): the splat of ones with the normalization "particle".
 
     The arguments and the errors are those of `splat`.
     """
@@ -363,7 +363,7 @@ def gather(
     density: the density image D of `sph.density`, (n_y, n_x), for "consistent" only. If it is None, `position` has to
     hold the particles that were splatted. D is then computed from them, with h and kernel.
     method: "bilinear" is Algorithm 4 with the matrix of Eq 3.16, which Algorithm 4 prints transposed. "sph" is the mean
-    of the nodes within h, weighted by W, which is the adjoint of the splat with the normalization "particle".
+    of the nodes within h, weighted by W. This mean is the adjoint of the splat with the normalization "particle".
     h, kernel: as for `splat`. h may be None with the method "bilinear", unless D has to be computed.
     unreached: treatment of a point with no node within h (method "sph") or with no density around it ("consistent").
     "error" raises ValueError. With "zero" the value is 0. With "nearest" the value is that of the nearest node over the

@@ -88,8 +88,9 @@ class SolverOptions(SweepOptions):
         return 1 if self.most_substeps is None else self.most_substeps // self.substeps
 
     def for_state(self, state: State) -> SolverOptions:
-        """Return the options with a number, N·s, in place of the tolerance "scene": the tolerance of a substep in this
-        state.
+        """Return the options with a number in place of the tolerance "scene".
+
+        The number is the tolerance of a substep in this state, N·s.
         """
         if self.tolerance != FOLLOWS_SCENE:
             return self
@@ -137,9 +138,9 @@ METHODS: dict[str, type] = {}
 COMPILED_IN = """
 import deep_contact.solvers
 """
-"""A text with an import of the module that registers the loops of `relax`. This module must not import it, since it
-lies above this folder. The code cache reads the line as an import, so that a step is compiled again once a loop has
-changed."""
+"""A text with an import of the package that registers the loops of `relax`. The import is not done here, because
+modules of this folder must not import that package. The code cache reads the line as an import, so that a step is
+compiled again once a loop has changed."""
 
 _ENTRIES: dict[type, Entry] = {}
 _LOOPS: dict[type, Loop] = {}
