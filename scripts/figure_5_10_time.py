@@ -200,10 +200,11 @@ def claims_of(pile, name, size, network):
 
 
 def open_where_capped(claim, states):
-    """Return the claim, left open if more sweeps of solves that ended at the largest number could change its verdict.
+    """Return the claim. It is left open if capped solves could have changed its verdict.
 
-    A solve that ended there counts with fewer sweeps and less time than it needs. So a ratio is certainly above 1 only
-    if no solve from the second start ended there, and certainly below 1 only if no solve from the first start did.
+    A solve is capped if it ended at the largest number of sweeps, above the threshold. It counts with fewer sweeps and
+    less time than it needs. So the ratio of the first start's cost to the second's is certainly above 1 only if no
+    solve from the second start is capped, and certainly below 1 only if no solve from the first start is.
     states: number of states.
     """
     first, second = (value for name, value in claim.measured.items() if name.startswith("solves at the cap"))

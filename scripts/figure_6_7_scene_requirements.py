@@ -93,8 +93,8 @@ def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
 def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
     """Measure the time that a resting pile saves if it sleeps, and without position correction.
 
-    Returns name of the saving -> result of `ratio`, whose times are those of a step with `STEP`, s. The entry "apart" is
-    the largest distance between the positions of a circle with and without the saving, m.
+    Returns name of the saving -> result of `ratio`, whose times are those of a step with `STEP`, s. The entry "apart"
+    is the largest distance between the positions of a circle with and without the saving, m.
     """
     pile = at_rest(piles.scene(n_bodies, seed))
     ways = {
@@ -117,8 +117,8 @@ def island_savings(scene: State, *, steps: int, every: int) -> dict:
     """Measure what solving islands one by one saves in a run.
 
     Returns {"relaxations": number of relaxations [without islands, with them], "seconds": time of the run [without,
-    with], s, "difference": m/s}. The difference is the largest one between the velocities that both solvers compute for
-    the same state. It is taken over one state every `every` steps of the run without islands.
+    with], s, "difference": m/s}. The difference is the largest one between the velocities that the solvers without and
+    with islands compute for the same state. The states are taken every `every` steps from the run without islands.
     """
     ways = {"together": PGS(), "islands": PGS(islands=True)}
     runs = {name: functools.partial(simulate, scene, steps=steps, solver=solver) for name, solver in ways.items()}

@@ -80,11 +80,12 @@ def loss_and_gradient(
     errors[c] is the relative velocity error after sweeps[c] sweeps. The start is projected on λ_n ≥ 0 and the friction
     cone before the first sweep.
 
-    If λ_n of a contact in the start is negative, the exact derivative with respect to this λ_n is 0. With it, the
-    network could never learn that such a contact pushes. So the derivative with respect to λ_n is computed as if the
-    limit λ_n ≥ 0 did not exist, at λ_n = 0 and with the friction cone. It is returned if it says that a larger λ_n
-    would reduce the loss; if not, 0 is returned. If λ_n of a contact is 0 or negative and its λ_t is exactly 0, the
-    exact derivative with respect to λ_t is 0 too. Returned is the derivative at λ_t = 0 without the friction cone.
+    The gradient is exact with two exceptions. If λ_n of a contact in the start is negative, the exact derivative with
+    respect to this λ_n is 0. From 0, the network could never learn that the contact pushes. So the derivative with
+    respect to λ_n is computed at λ_n = 0 as if the limit λ_n ≥ 0 did not exist; the friction cone still counts. This
+    derivative is returned if a larger λ_n would reduce the loss by it, and otherwise 0. Secondly, if λ_n of a contact
+    is 0 or negative and its λ_t is exactly 0, the derivative with respect to λ_t is returned as if the friction cone
+    did not exist. The exact one is 0, because the cone allows only λ_t = 0.
 
     start: impulses (λ_n, λ_t), (m, 2), N·s. sweeps: numbers of sweeps, ascending. weights: (len(sweeps),). The gradient
     is in 1 / (N·s), since the errors have no unit.

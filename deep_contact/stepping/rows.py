@@ -28,8 +28,8 @@ V_X, V_Y, V_S, INVERSE_MASS = range(4)
 """Columns of the array of solver bodies, (n + 4, 4): velocity of the centre, m/s; s = ω r, m/s; 1 / m, 1/kg.
 
 The last four rows stand for the walls: at rest, with an inverse mass of 0. Segments share the last of these rows. If
-surfaces move, its s is 1, and the arm of a contact with a segment is the speed of the surface, so that the segment
-drags the circle (`move_surfaces`). If segments move, there are further rows: one for each contact with a moving
+surfaces move, s of this row is 1, and the arm of a contact with a segment is the speed of the surface, so that the
+segment drags the circle (`move_surfaces`). If segments move, there are further rows: one for each contact with a moving
 segment, with the segment's velocity at this contact (`move_walls`)."""
 
 BODY_A, BODY_B = range(2)

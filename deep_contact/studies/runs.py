@@ -290,9 +290,10 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
     engine no margin is required.
 
     The value of the ratio is the median over the processes that measured times. Errors have confidence intervals, and
-    low and high show their effect. For low, settings are also chosen with our errors at the upper bounds of their
-    intervals and the other engines' errors at the lower bounds, and the smallest ratio of all processes is taken. For
-    high the bounds are exchanged, and the largest ratio is taken. Entries of the ratio are None if they are unknown.
+    low and high show their effect. For low, settings are chosen a second time, with our errors at the upper bounds of
+    their intervals and the other engines' errors at the lower bounds. low is the smallest ratio of both choices in any
+    process. For high the bounds are exchanged, and the largest ratio is taken. Entries of the ratio are None if they
+    are unknown.
     """
     known = [row for row in rows if row["us"] is not None and row["errors"] and row.get("known", 0.0) <= KNOWN]
 

@@ -119,7 +119,7 @@ def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> dict[str, np.nd
 
 
 def _seconds_of(start, state: State, solver) -> tuple[float, float]:
-    """Return the computing times of a start's impulses and of a solve from them, s, each the least of three measured."""
+    """Return the computing times of a start's impulses and of a solve from them, s: each the least of three times."""
     impulse = start(state, solver)
     both = {"start": lambda: start(state, solver), "solve": lambda: solve_contacts(state, solver=solver, start=impulse)}
     took = interleaved(both, repeats=3)
