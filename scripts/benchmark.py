@@ -95,7 +95,7 @@ GOALS = {
 
 
 def costs(seconds: np.ndarray, contacts: np.ndarray, steps: int) -> dict[str, float]:
-    """Fit the costs in: time of a step = overhead + cost · sweeps · contacts. Returns name of the cost -> value.
+    """Fit the equation: time of a step = overhead + cost · sweeps · contacts. Returns name of a cost -> value.
 
     The sweep of Box2D v3 is a sub-step, which passes over the contacts twice. The sweep of pymunk also corrects
     positions. seconds: time of each of `BLOCKS`, s, (4,). contacts: number of contacts in each block, summed over

@@ -64,8 +64,9 @@ def time_to_threshold(
 ) -> dict[str, dict]:
     """Measure the sweeps and the processor time from each start to θ < `THRESHOLD`, on the same states.
 
-    most: largest number of sweeps; a solve that does not reach the threshold by then counts as missed. repeats: number
-    of interleaved runs of every timing, of which the median is taken. Returns name of the start -> {"sweeps": number of
+    states: solved states. starts: name -> start. most: largest number of sweeps; a solve that does not reach the
+    threshold by then counts as missed. repeats: number of interleaved runs of every timing, of which the median is
+    taken. progress: function that shows the progress. Returns name of the start -> {"sweeps": number of
     sweeps for each state, `most` if missed, "missed": number of states for which the solve is missed, "seconds":
     {stage: time for each state, s}}. Each start has only the stages that it needs.
     """

@@ -99,8 +99,7 @@ def far_field(*, width: int = 24) -> keras.Model:
 
     n_y and n_x have to be one more than a multiple of 8. The network is a U-Net of residual blocks. They act on images
     that keep every second, fourth and eighth node of the input, with `width`, 2 `width` and 2 `width` features. The
-    weights of the last layer begin at zero. So an untrained network leaves the start, which it should correct, as it
-    is.
+    weights of the last layer begin at zero. So an untrained network does not change the start that it corrects.
     width: number of features in the images that keep every second node. Raises ValueError naming the option and the
     value.
     """

@@ -98,8 +98,9 @@ class Store:
         return np.concatenate(pairs)
 
     def data_hash(self, sims=None) -> str:
-        """Return the SHA-256 of the numbers and digests of some simulations, which does not depend on the compression.
+        """Return the SHA-256 of the numbers and digests of some simulations.
 
+        It does not depend on the compression of the files.
         sims: numbers of the simulations; None: all of them. The digests are read from the files. A digest is checked
         against the contents of its file only when the simulation is read.
         """

@@ -5,7 +5,7 @@ removes differences of the error between neighbouring contacts in a few sweeps. 
 distances, the far field, in many sweeps. The far field is smooth, so a coarse image can represent it. The network
 predicts coefficients c_j (`COEFFICIENTS`) at the nodes of a coarse grid. At a contact, the coefficients are read
 bilinearly, and multiplied by features F_j of the contact. The features are made of quantities that the solver knows:
-normal, effective mass, residual and last impulses.
+normal, effective mass, residual and last impulses. The corrected impulses of the contact are
 
     λ = λ_Builtin + Σ_j c_j F_j
 

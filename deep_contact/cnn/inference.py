@@ -172,7 +172,10 @@ class LearnedModel:
         return self._compiled[image.shape](image)
 
     def seen(self, state, problem=None):
-        """Return the network's input image for a state, and the function that turns its output into (λ_n, λ_t)."""
+        """Return the network's input image for a state, and the function that turns its output image into (λ_n, λ_t).
+
+        problem: as for `predict`.
+        """
         self._check_scene(state)
         return input_image(state, self.spec), lambda image: read_back(image, state, self.spec)
 

@@ -1,4 +1,4 @@
-"""Training through the solver: the velocity error after some sweeps of Projected Gauss-Seidel, and its exact gradient.
+"""Training through the solver: the velocity error after some sweeps of Projected Gauss-Seidel, and its gradient.
 
 The network predicts a start, the impulses λ before the first sweep. A good start leaves small velocity errors after a
 few sweeps. The error of λ itself is no measure, because λ is not unique, and because some of its errors vanish in one
@@ -156,6 +156,8 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
     """Do one sweep of the engine's solver over `impulse` and `velocity`, in place, and record which rows were clamped.
 
     The adjoint needs the record, which the engine's own sweep does not make.
+    friction: Coulomb's μ. velocity: solver bodies, (n + 4, 4), with the velocities v⁻ + M⁻¹ Jᵀ λ. impulse: λ, (m, 2),
+    N·s.
     clamped: the record, (m, 2), int8, is written. clamped[i, 0] is 1 if λ_n was clamped at 0. clamped[i, 1] is ±1 if
     λ_t was clamped at ±μ λ_n. Otherwise the entries are 0.
     """
@@ -180,10 +182,10 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
 def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
     """Apply the adjoint of `forward_sweep`: turn derivatives with respect to its results into ones for its inputs.
 
-    The results and the inputs are the velocities and the impulses after and before the sweep.
-    velocity: packed velocities, of which only the inverse masses are read. clamped: the record of `forward_sweep`.
-    by_velocity: derivatives of the loss with respect to the velocities, (n + 4, 3), changed in place. by_impulse:
-    derivatives of the loss with respect to the impulses, (m, 2), changed in place.
+    The results are the velocities and the impulses after the sweep, and the inputs those before it.
+    rows, friction: as for `forward_sweep`. velocity: solver bodies, of which only the inverse masses are read. clamped:
+    the record of `forward_sweep`. by_velocity: derivatives of the loss with respect to the velocities, (n + 4, 3),
+    changed in place. by_impulse: derivatives of the loss with respect to the impulses, (m, 2), changed in place.
     """
     for i in range(rows.body.shape[0] - 1, -1, -1):
         a, b, row = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i]

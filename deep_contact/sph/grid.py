@@ -159,6 +159,7 @@ def bilinear_weights(geometry, n_y, n_x, x, y, weights):
 
     The order of the corners is lower left, lower right, upper left, upper right. For a point outside the grid, the
     nearest point of the grid is taken. Returns (i0, i1, j0, j1, total) like `_kernel_weights`; the total is 1.
+    geometry: `Grid._geometry`. n_y, n_x: numbers of nodes along y and x.
     """
     x0, y0, dx, dy = geometry
     u, v = min(max((x - x0) / dx, 0.0), n_x - 1.0), min(max((y - y0) / dy, 0.0), n_y - 1.0)

@@ -101,9 +101,9 @@ _larger_workspace = njit(cache=True)(make_correction_workspace)
 def correct_positions(bodies, contacts, box, segments, scales, sweeps, workspace):
     """Push the circles apart, in place, until no penetration exceeds three slops, or `sweeps` sweeps are done.
 
-    box: (x_min, y_min, x_max, y_max), m. scales: `ContactScales`. workspace: `CorrectionWorkspace`. Its memory of
-    earlier corrections decides whether the contacts are corrected in tiles or in turn, and changes no bit of the
-    result. Tiles support walls but no segments, so that scenes with segments are corrected contact by contact.
+    box: (x_min, y_min, x_max, y_max), m. scales: `ContactScales`. workspace: `CorrectionWorkspace`. The memory in it
+    decides whether the contacts are corrected in tiles or in turn, and changes no bit of the result. Tiles support
+    walls but no segments, so that scenes with segments are corrected contact by contact.
     """
     n, m, memory = bodies.mass.shape[0], contacts.body_a.shape[0], workspace.memory[0]
     if m > workspace.batch.shape[0]:

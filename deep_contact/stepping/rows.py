@@ -276,11 +276,11 @@ def store_impulses(rows, contacts, substeps):
 
 @njit(cache=True, error_model="numpy")
 def best_share(rows, solver_bodies):
-    """Return α = clip(−b·λ / λ·A λ, 0, 1) for the impulses λ of the rows; 1 if these change no velocity.
+    """Return α = clip(−(b·λ) / (λ·A λ), 0, 1) for the impulses λ of the rows; 1 if these change no velocity.
 
-    Of all multiples of λ, α λ has the least energy ½ α² λ·A λ + α b·λ, with A = J M⁻¹ Jᵀ and b = J v⁻. One pass over
-    the contacts is enough, because λ·A λ is twice the kinetic energy of the velocity changes by λ: Σ m |Δv|² + ½ m Δs²,
-    s = ω r. rows: `Rows` with tangents. solver_bodies: velocities v⁻ before impulses, (N, 4).
+    Of all factors from 0 to 1, α gives the least energy ½ α² λ·A λ + α b·λ, with A = J M⁻¹ Jᵀ and b = J v⁻. One pass
+    over the contacts is enough, because λ·A λ is twice the kinetic energy of the velocity changes by λ:
+    Σ m |Δv|² + ½ m Δs², with s = ω r. rows: `Rows` with tangents. solver_bodies: velocities v⁻ before impulses, (N, 4).
     """
     v = solver_bodies
     change = np.zeros((v.shape[0], 3))

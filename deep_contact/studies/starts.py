@@ -385,9 +385,10 @@ def convergence_figure(
 ) -> Figure:
     """Return a `Figure` that compares starts by `compare_starts` with the thesis's settings.
 
-    starts: name -> description (`start_of`). If a description has only the fields "spacing" and "transfer", as in
-    `CHOSEN`, the figure's option "spacing" replaces its spacing. claims: function (data) -> `Claim`s. sweeps: number of
-    sweeps in a step. over, hidden: as for `draw_comparison`. modes: some of `MODES`.
+    id, title, seed: fields of the `Figure`. starts: name -> description (`start_of`). If a description has only the
+    fields "spacing" and "transfer", as in `CHOSEN`, the figure's option "spacing" replaces its spacing. claims:
+    function (data) -> `Claim`s. sweeps: number of sweeps in a step. over, hidden: as for `draw_comparison`. modes: some
+    of `MODES`.
     """
     plain_sph = {"spacing", "transfer"}
     chosen = {name: of for name, of in starts.items() if isinstance(of, Mapping) and of.keys() == plain_sph}
@@ -473,8 +474,8 @@ SHOWN = 95
 def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: str) -> Figure:
     """Return Figure 3.6 or 5.1: snapshots of the thesis's scene at some times.
 
-    times: simulated times of the snapshots, s. colour_by: quantity that colours the circles, as for
-    `plotting.draw_state`.
+    id, title: fields of the `Figure`. times: simulated times of the snapshots, s. colour_by: quantity that colours the
+    circles, as for `plotting.draw_state`.
     """
 
     def compute(options, seed, jobs, progress):
