@@ -95,11 +95,11 @@ GOALS = {
 
 
 def costs(seconds: np.ndarray, contacts: np.ndarray, steps: int) -> dict[str, float]:
-    """Fit the costs in: time of a step = overhead + cost · sweeps · contacts. Returns name of the cost -> value.
+    """Fit the equation: time of a step = overhead + cost · sweeps · contacts. Returns name of a cost -> value.
 
     The sweep of Box2D v3 is a sub-step, which passes over the contacts twice. The sweep of pymunk also corrects
-    positions. seconds: time of each of `BLOCKS`, s, (4,). contacts: sum of the contacts over its steps, (4,). steps:
-    number of steps in a block.
+    positions. seconds: time of each of `BLOCKS`, s, (4,). contacts: number of contacts in each block, summed over
+    the steps, (4,). steps: number of steps in a block.
     """
     few = np.array(BLOCKS) == FEW
     ends = ((sweeps * contacts[of].sum(), seconds[of].sum()) for sweeps, of in ((FEW, few), (MANY, ~few)))

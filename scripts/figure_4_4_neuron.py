@@ -22,7 +22,7 @@ def gradient_ratio(activation: str, *, depth: int, width: int, gain: float, seed
 
     The network has `depth` layers of `width` neurons. Its weights are normal with the standard deviation
     gain · √(2 / width), which for gain = 1 is He's initialisation. A random input is propagated forward, and then a
-    random gradient at the output is propagated back.
+    random gradient at the output is propagated back. activation: one of `ACTIVATIONS`.
     """
     rng = np.random.default_rng(seed)
     function, derivative = ACTIVATIONS[activation]

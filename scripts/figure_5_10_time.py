@@ -64,8 +64,9 @@ def time_to_threshold(
 ) -> dict[str, dict]:
     """Measure the sweeps and the processor time from each start to θ < `THRESHOLD`, on the same states.
 
-    most: largest number of sweeps; a solve that does not reach the threshold by then counts as missed. repeats: number
-    of interleaved runs of every timing, of which the median is taken. Returns name of the start -> {"sweeps": number of
+    states: solved states. starts: name -> start. most: largest number of sweeps; a solve that does not reach the
+    threshold by then counts as missed. repeats: number of interleaved runs of every timing, of which the median is
+    taken. progress: function that shows the progress. Returns name of the start -> {"sweeps": number of
     sweeps for each state, `most` if missed, "missed": number of states for which the solve is missed, "seconds":
     {stage: time for each state, s}}. Each start has only the stages that it needs.
     """
@@ -200,10 +201,11 @@ def claims_of(pile, name, size, network):
 
 
 def open_where_capped(claim, states):
-    """Return the claim, left open if more sweeps of solves that ended at the largest number could change its verdict.
+    """Return the claim. It is left open if capped solves could have changed its verdict.
 
-    A solve that ended there counts with fewer sweeps and less time than it needs. So a ratio is certainly above 1 only
-    if no solve from the second start ended there, and certainly below 1 only if no solve from the first start did.
+    A solve is capped if it ended at the largest number of sweeps, above the threshold. It counts with fewer sweeps and
+    less time than it needs. So the ratio of the first start's cost to the second's is certainly above 1 only if no
+    solve from the second start is capped, and certainly below 1 only if no solve from the first start is.
     states: number of states.
     """
     first, second = (value for name, value in claim.measured.items() if name.startswith("solves at the cap"))

@@ -23,7 +23,7 @@ def claims_of_network(data: Mapping, name: str) -> Iterator[Claim]:
     """Yield the thesis's claims on Figure 5.9 for one network.
 
     data: result of `starts.compare_starts` for the starts "none", "builtin", those of `READ`, "copy" and this network.
-    Its entry "networks" is the result of `chapter_5.networks_info`. name: name of the network's start.
+    The entry "networks" of the data is the result of `chapter_5.networks_info`. name: name of the network's start.
     """
     network = data["networks"][name]
 

@@ -62,7 +62,7 @@ def measure(past: StateWithContacts, contacts: int, seed: int, models: list[str]
     the others correct the impulses of the step before. Returns a dict:
 
     * "exact": whether an exact solution was found; if not, there are no other entries;
-    * "fastest": largest velocity component in the exact solution;
+    * "fastest": largest velocity component in the exact solution, m/s;
     * "widths": widths of the intervals over the mean λ_n of the exact solution;
     * "errors", if there are models: name of the answer → [median over the contacts of the distance of λ_n from the
       exact solution, over the mean λ_n; velocity error, which is 0 for any impulses that give the exact velocities].

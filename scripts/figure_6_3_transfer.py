@@ -54,7 +54,7 @@ def transfer_loss(states: Sequence[State], start: Sph, *, method: str = "bilinea
 
 
 def motion_loss(states: Sequence[State], start: Sph) -> dict[str, float]:
-    """Return relative losses of the circles' motion in its image (Algorithm 2), means over the states.
+    """Return the relative losses if the circles' motion is splatted to an image (Algorithm 2), means over the states.
 
     "velocities of circles" is ‖u' − u‖ / ‖u‖ with u = (v_x, v_y, ω). u' is read from the image at the circles. It is
     then multiplied by the known mass of the circle over the mass that is read from the image.

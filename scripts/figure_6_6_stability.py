@@ -365,7 +365,10 @@ def compute(options, seed, jobs, progress):
 
 
 def unearned(cell):
-    """Return the rise of the energy minus the work of position correction, over the energy scale (`measure`)."""
+    """Return the rise of the energy minus the work of position correction, over the energy scale (`measure`).
+
+    cell: result of `run_case`.
+    """
     return cell["energy"] - (cell["correction"] or 0.0)
 
 

@@ -67,9 +67,9 @@ def ratio(general: np.ndarray, special: np.ndarray) -> dict[str, float]:
 def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
     """Measure the time that a sweep of a resting pile saves without tangent rows. Returns the result of `ratio`.
 
-    Its times are those of a contact in a sweep, ns. Its entry "apart" is the largest distance between circles after
-    `steps` steps with and without tangent rows, m. For this comparison the friction is 0 and 1e-300. The latter needs
-    tangent rows, but its forces are negligible.
+    The times in the result are those of a contact in a sweep, ns. The entry "apart" is the largest distance between the
+    positions of a circle after `steps` steps with and without tangent rows, m. For this comparison μ is 1e-300 and 0.
+    The former needs tangent rows, but its friction forces are negligible.
     """
     pile = ready(at_rest(piles.scene(n_bodies, seed)))
     contacts = pile.contacts._replace(tangent_start=np.zeros(pile.contacts.count))
@@ -93,8 +93,8 @@ def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
 def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
     """Measure the time that a resting pile saves if it sleeps, and without position correction.
 
-    Returns name of the saving -> result of `ratio`, whose times are those of a step with `STEP`, s. Its entry "apart"
-    is the largest distance between circles after `steps` steps with and without the saving, m.
+    Returns name of the saving -> result of `ratio`, whose times are those of a step with `STEP`, s. The entry "apart"
+    is the largest distance between the positions of a circle with and without the saving, m.
     """
     pile = at_rest(piles.scene(n_bodies, seed))
     ways = {
@@ -117,8 +117,8 @@ def island_savings(scene: State, *, steps: int, every: int) -> dict:
     """Measure what solving islands one by one saves in a run.
 
     Returns {"relaxations": number of relaxations [without islands, with them], "seconds": time of the run [without,
-    with], s, "difference": m/s}. The difference is the largest one between the velocities that both solvers compute for
-    the same state. It is taken over one state every `every` steps of the run without islands.
+    with], s, "difference": m/s}. The difference is the largest one between the velocities that the solvers without and
+    with islands compute for the same state. The states are taken every `every` steps from the run without islands.
     """
     ways = {"together": PGS(), "islands": PGS(islands=True)}
     runs = {name: functools.partial(simulate, scene, steps=steps, solver=solver) for name, solver in ways.items()}
@@ -134,7 +134,7 @@ def saving_by_scene(runs: list[dict], unit: str) -> dict:
     """Return the `ratio` of relaxations or times without islands to those with islands, over several runs.
 
     runs: results of `island_savings`. unit: "relaxations" or "seconds". The entry "apart" is the largest distance
-    between circles after one step, m.
+    between the positions of a circle with and without islands after one step, m.
     """
     general, special = np.array([run[unit] for run in runs], dtype=float).T
     return ratio(general, special) | {"apart": constants.TIME_STEP * max(run["difference"] for run in runs)}

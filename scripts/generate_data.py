@@ -116,8 +116,9 @@ def simulate(job: Job) -> tuple[list, list, list]:
 def packed_states(number: int) -> Iterator[dc.State]:
     """Yield solved states of a packing that settles.
 
-    The solver begins with the impulses of the step before. In the states that are yielded, these are replaced by the
-    start `Support`, which the network learns to correct. number: number of the simulation.
+    The solutions are computed from the impulses of the step before. In the states that are yielded, the start `Support`
+    replaces these impulses, because the network learns to correct it. States with a residual above `UNSOLVED` are left
+    out. number: number of the simulation.
     """
     kind, k = (SMALL, number) if number < 400 else (LARGE, number - 400)
     rng = np.random.default_rng((kind["stream"], k))

@@ -126,7 +126,8 @@ def equal(text, thesis, first, second):
     """Return the claim that the errors of two variants are equal, whichever two of their trainings are compared.
 
     It holds if the confidence intervals of the largest and of the smallest ratio of two trainings lie within `ALIKE`.
-    The intervals are those over the held-out scenes. first, second: errors, (seeds, scenes).
+    The intervals are those over the held-out scenes. text, thesis: fields of the `Claim`. first, second: errors of the
+    variants, (seeds, scenes).
     """
     (low, high), scenes = ALIKE, first.shape[1]
     means = lambda errors, drawn: errors[:, drawn].mean(axis=-1)  # noqa: E731

@@ -97,10 +97,11 @@ def thesis(
 def far_field(*, width: int = 24) -> keras.Model:
     """Return the far-field network (`cnn.far_field`): (b, n_y, n_x, 29) -> (b, (n_y + 1) / 2, (n_x + 1) / 2, 12).
 
-    n_y and n_x have to be 1 (mod 8). The network is a U-Net of residual blocks. They act on every second, fourth and
-    eighth node of the input, with `width`, 2 `width` and 2 `width` features. The weights of the last layer begin at
-    zero. So an untrained network predicts no correction of the start that it corrects.
-    width: number of features on every second node. Raises ValueError naming the option and the value.
+    n_y and n_x have to be one more than a multiple of 8. The network is a U-Net of residual blocks. They act on images
+    that keep every second, fourth and eighth node of the input, with `width`, 2 `width` and 2 `width` features. The
+    weights of the last layer begin at zero. So an untrained network does not change the start that it corrects.
+    width: number of features in the images that keep every second node. Raises ValueError naming the option and the
+    value.
     """
     integer("width", width, 1)
     normal = {"kernel_initializer": "he_normal"}

@@ -1,10 +1,13 @@
 """Inference of the far-field network without Keras: one compiled Numba call computes all convolutions.
 
-A layer is a table (`LAYER`). It has the index of each output node's first tap in the input, and weights in groups of
-eight or sixteen features. The kernel computes a group of features at eight nodes at a time. The eight sums are SIMD
-vectors that stay in registers while the loop runs over all taps. So nearly every operation is a multiply-add of whole
-SIMD registers. A transposed convolution is split into four layers: one for each pair of even or odd rows and even or
-odd columns of its output. So no inserted zero is multiplied.
+A tap is an input node that the kernel, the 3 × 3 weights, covers at an output node. A layer is a row of
+`Program.layers` (`LAYER`). It points to the index of each output node's first tap in the input, and to weights in
+groups of eight or sixteen features.
+
+The compiled loop computes one group of features at eight output nodes at a time. It holds one sum per node, a SIMD
+vector with the features of the group, in registers until all taps are added. So nearly every operation is a
+multiply-add of whole SIMD registers. A transposed convolution becomes four layers, one for each parity of the output's
+row and column. So no multiplication is spent on the zeros that a transposed convolution inserts between input nodes.
 
 An image is stored with a margin of zeros, one node wide. The margin at the end of a row also serves as the margin at
 the beginning of the next row. A residual block needs its input both unchanged and after ReLU, so both images are
@@ -28,7 +31,7 @@ from deep_contact.state.validation import expect
 def layer_shapes(width: int) -> dict[str, list[tuple[int, ...]]]:
     """Return the shapes of the weights of `architectures.far_field`: layer -> [shape of the kernel, shape of the bias].
 
-    width: number of features on every second node.
+    width: number of features in the images that keep every second node. The coarser images have twice as many.
     """
     channels, near, far = len(FarFieldSpec.channels), width, 2 * width
     features = {"second": near, "fourth": far, "eighth": far, "far": far, "fourth_back": far, "second_back": near}
@@ -59,7 +62,7 @@ LAYER = np.dtype(
         ("positive", np.int64),  # image to which ReLU of the result is written
     ]
 )
-"""A row of `Program.layers`. An image is given by its offset in the workspace, in vectors of `WIDTH`; -1: no image."""
+"""A row of `Program.layers`. Images are given by their offset in the workspace, in vectors of `WIDTH`; -1: no image."""
 
 
 class Image(NamedTuple):
@@ -96,9 +99,9 @@ class Image(NamedTuple):
 class Program:
     """The network `architectures.far_field` compiled for images of one shape.
 
-    weights: name of a layer -> [kernel, bias], as in `model_file.StoredNetwork`. shape: (n_y, n_x), the nodes of an
-    image, each 1 (mod 8). Several threads may call a program at once, because each call has its own workspace. Raises
-    ValueError if the layers are not those of `layer_shapes`.
+    weights: name of a layer -> [kernel, bias], as in `model_file.StoredNetwork`. shape: (n_y, n_x), the numbers of
+    nodes of an image along y and x, each one more than a multiple of 8. Several threads may call a program at once,
+    because each call has its own workspace. Raises ValueError if the layers are not those of `layer_shapes`.
     """
 
     def __init__(self, weights: dict[str, list[np.ndarray]], shape: tuple[int, int]):
@@ -148,13 +151,16 @@ class Program:
         return self._image(*size), self._image(*size)
 
     def _down(self, name, image):
-        """Add a convolution with stride 2. Returns the two images of its result, as for `_pair`."""
+        """Add a convolution with stride 2. Returns the images of its result and of ReLU of the result."""
         made = self._pair((image.height + 1) // 2, (image.width + 1) // 2, self._of[name][0].shape[3])
         self._convolution(name, image, *made, stride=2)
         return made
 
     def _block(self, name, images):
-        """Add a residual block, x + conv(ReLU(conv(ReLU(x)))). Returns the two images of its result, as for `_pair`."""
+        """Add a residual block, x + conv(ReLU(conv(ReLU(x)))). Returns the images of its result and of ReLU of it.
+
+        images: image of x, and image of ReLU(x).
+        """
         raw, positive = images
         between, made = self._image(*raw[:3]), self._pair(*raw[:3])
         self._convolution(f"{name}_1", positive, positive=between)
@@ -164,8 +170,8 @@ class Program:
     def _up(self, name, image, skip):
         """Add a transposed convolution with stride 2 that makes 2 n − 1 nodes of n, and add the image `skip` to it.
 
-        The outermost nodes of the transposed convolution are left out. Returns the two images of its result, as for
-        `_pair`.
+        The outermost nodes of the transposed convolution are left out. Returns the images of the sum and of ReLU of the
+        sum.
         """
         made = self._pair(skip.height, skip.width, self._of[name][0].shape[2])
         for odd_row in (0, 1):
@@ -202,7 +208,7 @@ class Program:
         wide = np.zeros((1 + rows * columns * image.numbers, every, WIDTH), np.float32)
         wide[0].ravel()[:features] = self._of[name][1]
         wide[1:].reshape(rows, columns, image.numbers, -1)[:, :, :channels, :features] = kernel
-        # If the last block is not full, its remaining entries compute the last node again.
+        # If the last block of `WIDTH` nodes is not full, its remaining entries compute the last node again.
         count = _whole(len(nodes))
         places = np.stack([nodes + image.place, here // WIDTH], axis=1).astype(np.uint32)
         first = sum(part.shape[0] for part in self._nodes)

@@ -20,7 +20,7 @@ PHASES = ("impact", "settling", "rest")
 """Phases of a run, by which states are sorted."""
 
 SETTLING, REST = 0.5, 0.05
-"""Largest relative errors of a state's start (`start_errors`) with which the state is settling, or at rest."""
+"""Largest relative error of a state's start (`start_errors`) with which the state is settling, and at rest."""
 
 _reading = Lock()
 """Lock that a thread holds while a store reads a file and changes its cache."""
@@ -98,8 +98,9 @@ class Store:
         return np.concatenate(pairs)
 
     def data_hash(self, sims=None) -> str:
-        """Return the SHA-256 of the numbers and digests of some simulations, which does not depend on the compression.
+        """Return the SHA-256 of the numbers and digests of some simulations.
 
+        It does not depend on the compression of the files.
         sims: numbers of the simulations; None: all of them. The digests are read from the files. A digest is checked
         against the contents of its file only when the simulation is read.
         """
@@ -108,9 +109,10 @@ class Store:
 
 
 def start_errors(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the relative error ‖λ₀ − λ‖ / ‖λ‖ of the start λ₀ of each state, (T,). λ are the solved impulses.
+    """Return the relative error ‖λ₀ − λ‖ / ‖λ‖ of the start of each state, (T,).
 
-    The error is 0 if both λ₀ and λ are zero, and infinite if only λ is zero. arrays: the arrays of a
+    λ are the solved impulses of a state, and λ₀ the impulses from which its solution began. The error is 0 if both are
+    zero, and infinite if only λ is zero. arrays: the arrays of a
     `StoredSimulation`.
     """
     off = (arrays["normal_start"] - arrays["normal_impulse"]) ** 2

@@ -35,8 +35,8 @@ BASELINES = {
 def velocity_errors(state: State, start: tuple[np.ndarray, np.ndarray], sweeps: Sequence[int] = SWEEPS) -> np.ndarray:
     """Return the relative velocity errors (`metrics.velocity_error`) after some sweeps of PGS, (len(sweeps),).
 
-    The reference velocities v* are those that the impulses of the solved state give. If v* equals v⁻, the velocities
-    without impulses, and v differs, the error is infinite.
+    The error compares v, the velocities after the sweeps, with v*, the velocities that the impulses of the solved state
+    give. It is infinite if v* equals v⁻, the velocities without impulses, and v does not.
     state: a solved state. start: impulses before the first sweep, (λ_n, λ_t), (m,) each, N·s. sweeps: numbers of sweeps
     after which the error is measured. Raises ValueError on a state that is not solved.
     """

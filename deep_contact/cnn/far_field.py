@@ -3,18 +3,22 @@
 The impulses that are corrected are those of the step before, which is called Builtin's start. Projected Gauss-Seidel
 removes differences of the error between neighbouring contacts in a few sweeps. It removes errors that vary over long
 distances, the far field, in many sweeps. The far field is smooth, so a coarse image can represent it. The network
-predicts coefficients c_j (`COEFFICIENTS`) at the nodes of a coarse grid. They are read bilinearly at a contact. There
-they are multiplied by features F_j that the solver knows (normal, effective mass, residual, last impulses):
+predicts coefficients c_j (`COEFFICIENTS`) at the nodes of a coarse grid. At a contact, the coefficients are read
+bilinearly, and multiplied by features F_j of the contact. The features are made of quantities that the solver knows:
+normal, effective mass, residual and last impulses. The corrected impulses of the contact are
 
     λ = λ_Builtin + Σ_j c_j F_j
 
 The first four coefficients are a stress tensor S, antisymmetric part included: λ_n = n·S·n, λ_t = t·S·n. The other
 coefficients are factors of Builtin's impulses and of the residuals of the rows.
 
-The inputs describe the contact problem: the rows' velocities before and after Builtin's impulses are applied. They are
-multiplied by tensors of the normals, which do not depend on the arbitrary sign of a normal. The contact problem is
-positively homogeneous, so all inputs are divided by the state's own residual. Unbounded quantities are compressed by
-arsinh. The rotations by quarter turns and the mirror images of a state give exactly transformed inputs.
+The inputs describe the contact problem. A contact has two rows, a normal and a tangential one. For each row there are
+inputs of three quantities: its velocity without impulses, Builtin's impulse, and its residual. The residual is the
+change of the row's velocity that one relaxation would make after Builtin's impulses. These quantities are multiplied by
+tensors of the normals, which do not depend on the arbitrary sign of a normal. Further inputs are the velocities of the
+circles. The contact problem is positively homogeneous, so all inputs are divided by a scale of the state, mainly its
+root mean square residual. Unbounded quantities are compressed by arsinh. If a state is rotated by quarter turns or
+mirrored, its inputs are rotated or mirrored exactly.
 
 An image covers a window, which is the extent of the contacts and a margin of one node. So the network can be used in
 any box. Lengths are in mean radii: a node spacing of 1 is 1 m in the thesis's scene. The network is trained through the
@@ -91,14 +95,15 @@ COARSENING = 2
 _SMALL = 1e-2
 """Factor of the root mean square of Builtin's impulses in the scale by which a state's inputs are divided.
 
-The residual of a pile at rest is tiny. Without this term, the division would magnify it.
+The other term of the scale is the residual, which is tiny in a pile at rest. A division by it alone would magnify
+rounding errors.
 """
 
 _ROOM = -(-len(CONTACT_CHANNELS + BODY_CHANNELS) // WIDTH) * WIDTH
 """Number of channels that are allocated for an image, a multiple of `WIDTH`. Channels without a name stay zero."""
 
 WINDOW_SIDES = (9, 17, 25, 33, 49, 65, 97, 129, 193, 257, 385, 513, 769, 1025)
-"""Numbers of nodes that an edge of a window may have. All are 1 (mod 8).
+"""Numbers of nodes that an edge of a window may have. Each is one more than a multiple of 8.
 
 The list is short, because the network is compiled once for each shape of a window.
 """
@@ -236,7 +241,8 @@ def _nodes(point, geometry, shape):
 class _Measured(NamedTuple):
     """The quantities of which `description_of` makes an image, rotated and mirrored, before the compression by arsinh.
 
-    Velocities are divided by the state's scale, m/s, and impulses by the scale and the effective mass.
+    "Scaled" velocities are divided by the state's scale, m/s, and "scaled" impulses by the scale times the effective
+    mass of their normal row.
     """
 
     point: np.ndarray  # contact points, (m, 2), m
@@ -258,7 +264,7 @@ def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
 
     rows: the rows of the contacts, with Builtin's impulses. free: the circles' velocities after Δt of gravity without
     impulses, as `step_problem` returns them. box: (x_min, y_min, x_max, y_max), m. friction: Coulomb's μ. mirrored:
-    whether x is mirrored. turns: number of quarter turns after it.
+    whether x is mirrored. turns: number of quarter turns after the mirroring.
     """
     n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
     after = free.copy()
@@ -378,9 +384,9 @@ def _paint(image, geometry, h, measured):
 def _add(image, geometry, h, point, values, begin, end):
     """Add the splat of one particle's values to `image`, in place.
 
+    `sph.splat` would take many times as long: it writes float64, knows all kernels and checks its arguments.
     geometry, h: as for `_paint`. point: position of the particle, (x, y), m. values: one number for each of the `_ROOM`
-    channels. begin, end: half-open range of the vectors of `WIDTH` channels that are added. `sph.splat` would take many
-    times as long: it writes float64, knows all kernels and checks its arguments.
+    channels. begin, end: half-open range of the vectors of `WIDTH` channels that are added.
     """
     (x0, y0, d), (n_y, n_x, _) = geometry, image.shape
     x, y = point[0] - x0, point[1] - y0

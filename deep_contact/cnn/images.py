@@ -3,7 +3,7 @@
 `input_image` and `label_image` make images, and `read_back` reads impulses from an image. An image is a splat by
 `deep_contact.sph`: (n_y, n_x, channels), row 0 at y_min, float32. An `ImageSpec` defines it, and is stored with the
 model as JSON. Bodies and contacts are splatted with the same kernel and support radius. A channel of contacts is 0 at
-nodes with no contact within the support radius.
+nodes to which no contact is splatted.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class Spec:
     channels: ClassVar[tuple[str, ...]]
     targets: ClassVar[tuple[str, ...]]
     multiple: ClassVar[int] = 1
-    """The network takes images whose number of nodes along an edge is 1 (mod multiple)."""
+    """The number of nodes along an edge of an image has to be one more than a multiple of this number."""
     constants: ClassVar[dict] = {}
     """Entries of the JSON object that are not fields of the dataclass: name -> the only allowed value."""
     removed: ClassVar[dict] = {}

@@ -141,7 +141,7 @@ class LearnedModel:
 
         state: a `State`, or several states, for which a list of pairs (λ_n, λ_t) is returned. project: whether the
         impulses are projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n. problem: the result of `step_problem(state)`, if it has
-        been computed; a far-field network corrects the impulses of its rows. Raises the errors of `input`.
+        been computed; a far-field network corrects the impulses in the problem's rows. Raises the errors of `input`.
         """
         if not isinstance(state, State):
             states = list_of("state", State, state)
@@ -158,9 +158,9 @@ class LearnedModel:
     def run(self, image: np.ndarray) -> np.ndarray:
         """Return the network's output image for an input image, (n_y, n_x, targets), float32.
 
-        image: (n_y, n_x, channels). For a far-field network n_y and n_x have to be 1 (mod 8), and the output is at
-        every second node, ((n_y + 1) / 2, (n_x + 1) / 2, 12). Raises ValueError naming the expected shape and that of
-        `image`.
+        image: (n_y, n_x, channels). For a far-field network n_y and n_x have to be one more than a multiple of 8, and
+        the output is at every second node, ((n_y + 1) / 2, (n_x + 1) / 2, 12). Raises ValueError naming the expected
+        shape and that of `image`.
         """
         image = np.asarray(image, np.float32)
         if image.shape not in self._compiled:
@@ -172,7 +172,10 @@ class LearnedModel:
         return self._compiled[image.shape](image)
 
     def seen(self, state, problem=None):
-        """Return the network's input image for a state, and the function that turns its output into (λ_n, λ_t)."""
+        """Return the network's input image for a state, and the function that turns its output image into (λ_n, λ_t).
+
+        problem: as for `predict`.
+        """
         self._check_scene(state)
         return input_image(state, self.spec), lambda image: read_back(image, state, self.spec)
 
@@ -185,8 +188,8 @@ class LearnedModel:
     def _compile(self, shape, output):
         """Return a function (input image) -> output image, for images of one shape.
 
-        TensorFlow traces the network once for it. So a call does not have the overhead of `keras.Model.predict`. shape:
-        of the input image. output: shape of the output image.
+        TensorFlow traces the network once for each shape. So a call does not have the overhead of
+        `keras.Model.predict`. shape: shape of the input image. output: shape of the output image.
         """
         from deep_contact.cnn.backend import tensorflow as tf
 
@@ -235,9 +238,9 @@ class LearnedModel:
 
 @dataclass(frozen=True, kw_only=True, repr=False, eq=False)
 class FarFieldModel(LearnedModel):
-    """A far-field network (`cnn.far_field`), which corrects the impulses of the step before that a state carries.
+    """A far-field network (`cnn.far_field`). It corrects impulses of the step before, which a state's contacts carry.
 
-    `predict` warns if the contacts of a state carry no such impulses. For such states `warm_start.FarFieldNoPast`
+    `predict` warns if the contacts carry no such impulses. For such states `warm_start.FarFieldNoPast`
     predicts impulses from positions alone.
     """
 

@@ -173,7 +173,10 @@ def spec_of(metadata: dict) -> ImageSpec | FarFieldSpec:
 
 
 def _check_fit(model, spec: ImageSpec | FarFieldSpec, box) -> None:
-    """Raise ValueError unless the network fits the spec (`check_network`), and one of a fixed size has its box."""
+    """Raise ValueError if the network does not fit the spec (`check_network`), or has a fixed size and no box.
+
+    box: [width, height] of the network's only box, m, or None.
+    """
     check_network(model, spec)
     if isinstance(spec, ImageSpec):
         n = model.input_shape[1:3]
@@ -183,8 +186,8 @@ def _check_fit(model, spec: ImageSpec | FarFieldSpec, box) -> None:
 def check_network(model, spec: ImageSpec | FarFieldSpec) -> None:
     """Raise ValueError unless the network takes the spec's images and gives its targets.
 
-    A far-field network is judged by its weights, any other by the shapes of its `keras.Model`. Its output may be flat
-    if it takes images of one size only. A side that is None fits any number of nodes.
+    A far-field network is judged by its weights, any other network by its input and output shapes. The output of a
+    network that takes images of one size only may be flat. A side that is None fits any number of nodes.
     """
     if isinstance(spec, FarFieldSpec):
         weights, expected = weights_of(model), "expected the layers of architectures.far_field"

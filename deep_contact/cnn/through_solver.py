@@ -1,12 +1,13 @@
-"""Training through the solver: the velocity error after some sweeps of Projected Gauss-Seidel, and its exact gradient.
+"""Training through the solver: the velocity error after some sweeps of Projected Gauss-Seidel, and its gradient.
 
 The network predicts a start, the impulses λ before the first sweep. A good start leaves small velocity errors after a
-few sweeps. The error of λ itself is no measure, because λ is not unique, and because some errors vanish in one sweep.
-So the loss is the velocity error after a few sweeps of the engine's own solver, with the contacts in its own order.
+few sweeps. The error of λ itself is no measure, because λ is not unique, and because some of its errors vanish in one
+sweep. So the loss is the velocity error after a few sweeps of the engine's own solver, in the engine's own order of the
+contacts.
 
 The gradient of the loss with respect to the start is computed by the adjoint of the sweeps. The adjoint passes over the
-contacts in reverse order, once for each sweep. A row counts as clamped in it if the forward pass clamped the row. This
-gives the derivative almost everywhere.
+contacts in reverse order, once for each sweep. Each contact has two rows, a normal and a tangential one. The adjoint
+treats a row as clamped in a sweep if the forward sweep clamped it. This gives the derivative almost everywhere.
 """
 
 from __future__ import annotations
@@ -39,7 +40,10 @@ from deep_contact.stepping.rows import (
 )
 
 _NOTHING = 1e-12
-"""Limit of ‖v* − v⁻‖, √J, the mass-weighted change of the velocities by all impulses. Below it, the errors are 0."""
+"""Limit of ‖v* − v⁻‖ in √J. Below it, the errors are set to 0.
+
+‖v* − v⁻‖ is the mass-weighted norm of the change from v⁻, the velocities without impulses, to v*, the solved ones.
+"""
 
 
 class SolvedProblem(NamedTuple):
@@ -62,8 +66,8 @@ def solved_problem(state: State) -> SolvedProblem:
 def errors_after(problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int]) -> np.ndarray:
     """Return the relative velocity errors after some sweeps, (len(sweeps),), as `evaluation.velocity_errors` does.
 
-    If no impulses are needed (‖v* − v⁻‖ is almost 0), all errors are 0. start: impulses before the first sweep,
-    (m, 2), N·s, which are projected on the friction cone first. sweeps: numbers of sweeps, ascending.
+    If almost no impulses are needed (‖v* − v⁻‖ is below `_NOTHING`), all errors are 0. start: impulses before the first
+    sweep, (m, 2), N·s. They are projected on the friction cone first. sweeps: numbers of sweeps, ascending.
     """
     return loss_and_gradient(problem, start, sweeps, np.zeros(len(sweeps)))[2]
 
@@ -74,10 +78,17 @@ def loss_and_gradient(
     """Return the loss Σ_c weights[c] · errors[c], its gradient with respect to the start, (m, 2), and the errors.
 
     errors[c] is the relative velocity error after sweeps[c] sweeps. The start is projected on λ_n ≥ 0 and the friction
-    cone before the first sweep. Where λ_n of the start is negative, the exact derivative is 0. There the derivative
-    without the projection is returned if a larger λ_n would reduce the loss. Otherwise the network could never learn
-    that such a contact pushes.
-    start: (m, 2), N·s. sweeps: numbers of sweeps, ascending. weights: (len(sweeps),).
+    cone before the first sweep.
+
+    The gradient is exact with two exceptions. If λ_n of a contact in the start is negative, the exact derivative with
+    respect to this λ_n is 0. From 0, the network could never learn that the contact pushes. So the derivative with
+    respect to λ_n is computed at λ_n = 0 as if the limit λ_n ≥ 0 did not exist; the friction cone still counts. This
+    derivative is returned if a larger λ_n would reduce the loss by it, and otherwise 0. Secondly, if λ_n of a contact
+    is 0 or negative and its λ_t is exactly 0, the derivative with respect to λ_t is returned as if the friction cone
+    did not exist. The exact one is 0, because the cone allows only λ_t = 0.
+
+    start: impulses (λ_n, λ_t), (m, 2), N·s. sweeps: numbers of sweeps, ascending. weights: (len(sweeps),). The gradient
+    is in 1 / (N·s), since the errors have no unit.
     """
     sweeps, weights, start = np.asarray(sweeps), np.asarray(weights, float), np.array(start, float)
     in_cone = np.column_stack(projected(*start.T.copy(), problem.friction))
@@ -131,9 +142,9 @@ def _errors_and_gradient(problem, start, sweeps, weights):
 
 @njit(cache=True)
 def _velocities(rows, free, impulse):
-    """Return the velocities v⁻ + M⁻¹ Jᵀ λ, packed like v⁻ = `free`, with the Jacobian J of the rows.
+    """Return the velocities v⁻ + M⁻¹ Jᵀ λ, with the mass matrix M and the Jacobian J of the rows.
 
-    impulse: λ, (m, 2), N·s.
+    free: v⁻, as in `SolvedProblem`. The result is packed in the same way. impulse: λ, (m, 2), N·s.
     """
     velocity = free.copy()
     apply_impulses(Rows(rows.body, rows.data, impulse), velocity, 0.0)
@@ -145,6 +156,8 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
     """Do one sweep of the engine's solver over `impulse` and `velocity`, in place, and record which rows were clamped.
 
     The adjoint needs the record, which the engine's own sweep does not make.
+    friction: Coulomb's μ. velocity: solver bodies, (n + 4, 4), with the velocities v⁻ + M⁻¹ Jᵀ λ. impulse: λ, (m, 2),
+    N·s.
     clamped: the record, (m, 2), int8, is written. clamped[i, 0] is 1 if λ_n was clamped at 0. clamped[i, 1] is ±1 if
     λ_t was clamped at ±μ λ_n. Otherwise the entries are 0.
     """
@@ -167,11 +180,12 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
 
 @njit(cache=True)
 def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
-    """Apply the adjoint of `forward_sweep`: turn derivatives with respect to its results into those to its inputs.
+    """Apply the adjoint of `forward_sweep`: turn derivatives with respect to its results into ones for its inputs.
 
-    velocity: packed velocities, of which only the inverse masses are read. clamped: the record of `forward_sweep`.
-    by_velocity: derivatives of the loss with respect to the velocities, (n + 4, 3), changed in place. by_impulse:
-    derivatives of the loss with respect to the impulses, (m, 2), changed in place.
+    The results are the velocities and the impulses after the sweep, and the inputs those before it.
+    rows, friction: as for `forward_sweep`. velocity: solver bodies, of which only the inverse masses are read. clamped:
+    the record of `forward_sweep`. by_velocity: derivatives of the loss with respect to the velocities, (n + 4, 3),
+    changed in place. by_impulse: derivatives of the loss with respect to the impulses, (m, 2), changed in place.
     """
     for i in range(rows.body.shape[0] - 1, -1, -1):
         a, b, row = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i]

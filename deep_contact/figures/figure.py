@@ -109,7 +109,7 @@ class Figure:
     def settings(self, changes: dict, quick: bool) -> dict:
         """Return all options of a run in the form in which its results file stores them.
 
-        changes: name of an option -> its value. quick: whether the options of the quick run are taken for the others.
+        changes: name of an option -> its value. quick: whether the other options are those of the quick run.
         Raises ValueError if a name in `changes` is unknown.
         """
         for name in changes:
@@ -191,8 +191,8 @@ def produce(
     """Compute the data of a figure, store them, draw the picture and print a report. Returns the stored results.
 
     The results are stored before the picture is drawn. So an error in `draw` does not lose a long computation.
-    figure: the figure. options: options that differ from the figure's, name -> value. quick: whether the options of the
-    quick run are taken for the others. seed: seed of the random numbers; None: the figure's. out: folder of the files.
+    figure: the figure. options: options that differ from the figure's, name -> value. quick: whether the other options
+    are those of the quick run. seed: seed of the random numbers; None: the figure's. out: folder of the files.
     jobs: number of processes, or an executor (`parallel.finished`); the results do not depend on it. Raises ValueError
     for an unknown option.
     """

@@ -54,8 +54,9 @@ JUDGING = {"claims", "draw", "table"}
 class _Code(ast.NodeTransformer):
     """A transformer that removes imports, names of the package's modules, docstrings and code for type checkers.
 
-    It collects two sets of pairs (module, name). imported: the names that a file imports from the package. used: the
-    names that the file reads as attributes of imported modules. modules: name in the file -> module.
+    It collects two sets of pairs (module, name). `imported` has the names that a file imports from the package, and
+    `used` the names that the file reads as attributes of imported modules. The dict `modules` has the module for each
+    name by which the file calls it.
     """
 
     def __init__(self):

@@ -159,6 +159,7 @@ def bilinear_weights(geometry, n_y, n_x, x, y, weights):
 
     The order of the corners is lower left, lower right, upper left, upper right. For a point outside the grid, the
     nearest point of the grid is taken. Returns (i0, i1, j0, j1, total) like `_kernel_weights`; the total is 1.
+    geometry: `Grid._geometry`. n_y, n_x: numbers of nodes along y and x.
     """
     x0, y0, dx, dy = geometry
     u, v = min(max((x - x0) / dx, 0.0), n_x - 1.0), min(max((y - y0) / dy, 0.0), n_y - 1.0)
@@ -200,7 +201,7 @@ def _most_nodes(geometry, n_y, n_x, h):
 
 @njit(cache=True, error_model="numpy")
 def _splat_core(geometry, position, values, h, kernel, normalization, unreached, outside, image):
-    """Add Σ_k w_jk S_k to every node j of `image`, in place (Algorithms 2 and 3).
+    """Add Σ_k w_jk S_k to every node j of `image`, in place (Algorithms 2 and 3). w_jk: weight of particle k at node j.
 
     geometry: `Grid._geometry`. position: particles, (k, 2), m. values: S, (k, c). h: support radius, m. kernel: number
     of the kernel. normalization, unreached, outside: integers of `_OPTIONS`. image: (n_y, n_x, c).
@@ -334,7 +335,7 @@ def splat(
 def density(
     grid: Grid, position, *, h: float, kernel: str = "poly6", unreached: str = "error", outside: str = "error"
 ) -> np.ndarray:
-    """Return the density image D_j = Σ_k w_jk, (n_y, n_x), which is the splat of ones normalised by particle.
+    """Return the density image D_j = Σ_k w_jk, (n_y, n_x): the splat of ones with the normalization "particle".
 
     The arguments and the errors are those of `splat`.
     """
@@ -363,7 +364,7 @@ def gather(
     density: the density image D of `sph.density`, (n_y, n_x), for "consistent" only. If it is None, `position` has to
     hold the particles that were splatted. D is then computed from them, with h and kernel.
     method: "bilinear" is Algorithm 4 with the matrix of Eq 3.16, which Algorithm 4 prints transposed. "sph" is the mean
-    of the nodes within h, weighted by W, which is the adjoint of the splat with the normalization "particle".
+    of the nodes within h, weighted by W. This mean is the adjoint of the splat with the normalization "particle".
     h, kernel: as for `splat`. h may be None with the method "bilinear", unless D has to be computed.
     unreached: treatment of a point with no node within h (method "sph") or with no density around it ("consistent").
     "error" raises ValueError. With "zero" the value is 0. With "nearest" the value is that of the nearest node over the

@@ -1,7 +1,8 @@
 """Smoothing kernels: value W(r, h), radial derivative, gradient and Laplacian, in two and three dimensions.
 
-A kernel is one function of q = r/h and the dimension that returns W, W' and W'' for support radius h = 1, normalised to
-a unit integral. All kernels share the code for other h, the gradient's direction, the Laplacian, r = 0 and r >= h.
+A kernel is one function. It takes q = r/h and the dimension, and returns W, W' and W'' for the support radius h = 1.
+The integral of W is 1. All kernels share the code for other h, the gradient's direction, the Laplacian, r = 0 and
+r >= h.
 
 For every kernel:
 

@@ -43,7 +43,8 @@ class Sph:
 
     - "thesis" (the start "sph") reads bilinearly (Algorithm 4). It returns a fraction of the impulse, and 0 where no
       node is within h.
-    - "consistent" (the start "sph consistent", ours) reads bilinearly, and divides by what a field of ones gives.
+    - "consistent" (the start "sph consistent", ours) reads bilinearly, and divides by the value that impulses
+      of 1 N·s at all contacts would give in the same way.
     - "spline" (the start "sph spline") reads by `sph.read_by_spline`, as the thesis's authors programmed this start.
     - "shared" reads by `sph.share_out`, as the thesis's authors programmed the start of their network.
 
@@ -93,9 +94,9 @@ class Sph:
     def _transfer(self, state: State) -> tuple:
         """Return the `Grid`, the contact points, (m, 2), m, and the keyword arguments of `sph.splat`.
 
-        The contact point at a wall lies half of the penetration outside the box, so it is clamped. Where no node is
-        within h of a contact, the transfer "consistent" gives its impulse to the nearest node. The other transfers lose
-        the impulse.
+        The contact point at a wall lies half of the penetration outside the box, so it is moved to the edge of the
+        grid. If no node is within h of a contact, the transfer "consistent" gives the contact's impulse to the nearest
+        node. The other transfers lose the impulse.
         """
         h = self.spacing if self.support is None else self.support
         unreached = "nearest" if self.transfer == "consistent" else "zero"

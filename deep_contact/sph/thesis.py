@@ -66,7 +66,7 @@ def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -
 
     The thesis's authors read the network's image back in this way. A node's weights are proportional to W and sum to 1.
     So the values of all nodes with a particle within h are distributed completely. A particle that shares no node with
-    another one gets back all that it gave. Any other particle gets a weighted mean.
+    another one gets back all that it gave. Particles that share nodes get mixtures of their values.
     image: (n_y, n_x, c). position: particles, (k, 2), m; a particle outside the grid is moved to the nearest point of
     the grid. h: support radius, m. kernel: one of `sph.KERNELS`. Raises ValueError naming the argument and the value.
     """

@@ -172,7 +172,7 @@ def common_motion(position, anchor):
 
 @njit(cache=True)
 def sum_of(rows):
-    """Return the sum of the elements of an array, (n, 2), which is not finite if an element is not.
+    """Return the sum of all elements of an array, (n, 2). It is not finite if an element is not finite.
 
     Numba's own `sum` would compile four functions more.
     """
@@ -215,10 +215,10 @@ def sort_into_cells(position, radius, gap, cells):
 def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
     """Sort the circles of one size level into square cells (counting sort).
 
-    A cell is at least as wide as the largest diameter of the level plus `gap`, m. number: the size level. first_cell,
-    first_circle: places in `cells.start` and `cells.order` at which this level begins. Returns the places after the
-    last cell and the last circle. The grid covers the centres of the level's circles. Cells are wider if there would be
-    more than about four of them per circle.
+    The grid covers the centres of the level's circles. A cell is at least as wide as the largest diameter of the level
+    plus `gap`, m. Cells are wider if there would be more than about four of them per circle.
+    number: the size level. first_cell, first_circle: places in `cells.start` and `cells.order` at which this level
+    begins. Returns the places after the last cell and the last circle.
     """
     n, level, grid = position.shape[0], cells.level, cells.grid[number]
     x_min = y_min = math.inf

@@ -208,8 +208,8 @@ def parting(a, b):
     """Return a unit normal from circle a to circle b for coinciding centres.
 
     It is the direction from point a to point b of a golden spiral, whose point i has the radius √i. A heap of circles
-    in one place therefore spreads to a disc, and no two circles move in one direction (H. Vogel 1979, A better way to
-    construct the sunflower head, Mathematical Biosciences 44). Circles 0 and 1 separate along +x, as in Box2D.
+    in one place therefore spreads to a disc, and no two circles move in the same direction (H. Vogel 1979, A better way
+    to construct the sunflower head, Mathematical Biosciences 44). Circles 0 and 1 separate along +x, as in Box2D.
     """
     x_a, y_a = math.sqrt(a) * math.cos((a - 1) * GOLDEN_ANGLE), math.sqrt(a) * math.sin((a - 1) * GOLDEN_ANGLE)
     x_b, y_b = math.sqrt(b) * math.cos((b - 1) * GOLDEN_ANGLE), math.sqrt(b) * math.sin((b - 1) * GOLDEN_ANGLE)
@@ -243,7 +243,7 @@ def carry_impulses(old, contacts, warm):
     j, last = 0, old.body_a.shape[0]
     for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
-        # In most cases the next contact of both lists is one pair, so that this branch is predicted well.
+        # In most cases the next contact of both lists is the same pair, so that this branch is predicted well.
         if j >= last or old.body_a[j] != a or old.body_b[j] != b:
             while j < last and (old.body_a[j] < a or (old.body_a[j] == a and old.body_b[j] < b)):
                 j += 1

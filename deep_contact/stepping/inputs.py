@@ -17,7 +17,8 @@ from deep_contact.stepping.segment_grid import segments_in_grid
 def leaves_tangents_out(state: State, solver) -> bool:
     """Return whether a step has no tangent rows.
 
-    It has none if μ = 0, no contact starts from a tangent impulse, and the solver has no step of its own.
+    It has none if μ = 0, no contact starts from a tangent impulse, and the solver takes the step that solvers share
+    (`interface.register`).
     """
     return state.world.friction == 0 and entry_of(solver).advance is None and not state.contacts.tangent_start.any()
 
@@ -64,7 +65,7 @@ def actuation_of(state: State) -> Actuation | None:
 
 
 def reach_of(state: State, scales: ContactScales) -> float:
-    """Return the largest distance from a segment at which the centre of a circle has a contact with it, m."""
+    """Return the largest distance between a segment and the centre of a circle that has a contact with it, m."""
     return float(state.bodies.radius.max(initial=0.0)) + scales.wall_skin
 
 

@@ -1,10 +1,10 @@
 """The interface of a solver: its options, and the registry of solvers.
 
 A solver is one file with four parts. Its options are a frozen dataclass, a subclass of `SolverOptions`, whose docstring
-states weakness and source. Its settings are a NamedTuple: the options in the form for compiled code. The third part is
-a loop of sweeps, and the fourth is one call of `register`. The type of the settings selects the loop when the step is
-compiled. A run therefore compiles no other solver, and makes no choice between steps. A solver from outside this
-package registers in the same way; `tests/stepping/test_interface.py` has an example.
+states the solver's weakness and source. Its settings are a NamedTuple: the options in the form for compiled code. The
+third part is a loop of sweeps, and the fourth is one call of `register`. The type of the settings selects the loop when
+the step is compiled. A run therefore compiles no other solver, and makes no choice between steps. A solver from outside
+this package registers in the same way; `tests/stepping/test_interface.py` has an example.
 """
 
 from __future__ import annotations
@@ -88,8 +88,9 @@ class SolverOptions(SweepOptions):
         return 1 if self.most_substeps is None else self.most_substeps // self.substeps
 
     def for_state(self, state: State) -> SolverOptions:
-        """Return the options with a number, N·s, in place of the tolerance "scene": the tolerance of a substep in this
-        state.
+        """Return the options with a number in place of the tolerance "scene".
+
+        The number is the tolerance of a substep in this state, N·s.
         """
         if self.tolerance != FOLLOWS_SCENE:
             return self
@@ -106,8 +107,9 @@ class Loop(NamedTuple):
     settings: type, a NamedTuple with at least `tolerance`, the θ at which the sweeps end, N·s. A negative tolerance is
     never reached.
     relax: compiled function (settings, rows, friction, solver_bodies, theta, workspace) -> number of sweeps. It changes
-    `rows.impulse` and the velocities of the solver bodies in place, so that the latter stay v + M⁻¹ Jᵀ λ. It writes θ
-    of each sweep into `theta`. It ends if `convergence.is_over` is true, at the latest after theta.shape[0] sweeps.
+    the impulses λ = `rows.impulse` and the velocities of the solver bodies in place. The velocities stay v⁻ + M⁻¹ Jᵀ λ,
+    where v⁻ are those without impulses. `relax` writes θ of each sweep into `theta`. It ends if `convergence.is_over`
+    is true, at the latest after theta.shape[0] sweeps.
     workspace: compiled function (rows, solver_bodies) -> work arrays of `relax`, made once a run; or None.
     counts_relaxations: whether `relax` returns (sweeps, relaxations of a contact). If not, each sweep relaxes every
     contact once.
@@ -137,9 +139,9 @@ METHODS: dict[str, type] = {}
 COMPILED_IN = """
 import deep_contact.solvers
 """
-"""A text with an import of the module that registers the loops of `relax`. This module must not import it, since it
-lies above this folder. The code cache reads the line as an import, so that a step is compiled again once a loop has
-changed."""
+"""A text with an import of the package that registers the loops of `relax`. The import is not done here, because
+modules of this folder must not import that package. The code cache reads the line as an import, so that a step is
+compiled again once a loop has changed."""
 
 _ENTRIES: dict[type, Entry] = {}
 _LOOPS: dict[type, Loop] = {}

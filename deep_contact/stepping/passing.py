@@ -89,10 +89,10 @@ def rests(b, bodies, actuation):
 
 @njit(inline="always")
 def note_normal(way, n_x, n_y, i, left, right):
-    """Update the least angles between the push on circle i and normals to its left and right, in place, by one normal.
+    """Update the least angles between the push on circle i and normals to the left and right of it, by one normal.
 
     way: direction of the push, (2,). n_x, n_y: normal from circle i to a body at rest. left, right: least angles of
-    each circle, (n,), rad.
+    each circle, (n,), rad, changed in place.
     """
     angle = math.atan2(way[0] * n_y - way[1] * n_x, way[0] * n_x + way[1] * n_y)
     if angle >= -PARALLEL:

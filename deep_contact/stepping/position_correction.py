@@ -7,11 +7,11 @@ Circles are pushed along the line of their centres. If many circles lie in almos
 directions of the next pushes, and all circles would follow the first pair along one line. A pair whose line has rotated
 by more than 60° since the narrow phase is therefore pushed along the normal of the narrow phase.
 
-`correct_tiles` corrects eight contacts at a time that share no circle. For this, contacts are sorted into levels. The
-level of a contact comes after the levels of all earlier contacts that share a circle with it. Every circle therefore
-meets its contacts in the order of the list. No product is fused with a sum. The result is therefore equal, to the last
-bit, to that of `correct_in_turn`, which corrects one contact at a time. `correct_positions` chooses the cheaper of the
-two functions.
+`correct_tiles` corrects a tile at a time: eight contacts of which no two share a circle. For this, contacts are sorted
+into levels, and a tile has contacts of one level. The level of a contact comes after the levels of all earlier contacts
+that share a circle with it. Every circle therefore meets its contacts in the order of the list. No product is fused
+with a sum. The result is therefore equal, to the last bit, to that of `correct_in_turn`, which corrects one contact at
+a time. `correct_positions` chooses the cheaper of the two functions.
 """
 
 from __future__ import annotations
@@ -75,9 +75,9 @@ levels are tried again."""
 class CorrectionWorkspace(NamedTuple):
     """Buffers of `correct_positions` for n circles, M contacts and T tiles of eight contacts."""
 
-    level: np.ndarray  # (n,): for each circle, the level after those of its contacts so far
+    level: np.ndarray  # (n,): for each circle, the first level after those of its contacts that are already sorted
     batch: np.ndarray  # (M,): level of each contact
-    fill: np.ndarray  # (M,): number of contacts in each level; later its next free place
+    fill: np.ndarray  # (M,): number of contacts in each level; later the next free place of the level in the tiles
     body: np.ndarray  # (T, 2, 8): bodies a and b of the contacts, as rows of `centre`
     normal: np.ndarray  # (T, 2, 8): normals of these contacts, from the narrow phase
     centre: np.ndarray  # (n + 5, 4): x, y, radius, mass of the circles and of the bodies of `fill_ground`
@@ -101,9 +101,9 @@ _larger_workspace = njit(cache=True)(make_correction_workspace)
 def correct_positions(bodies, contacts, box, segments, scales, sweeps, workspace):
     """Push the circles apart, in place, until no penetration exceeds three slops, or `sweeps` sweeps are done.
 
-    box: (x_min, y_min, x_max, y_max), m. scales: `ContactScales`. workspace: `CorrectionWorkspace`. Its memory of
-    earlier corrections decides whether the contacts are corrected in tiles or in turn, and changes no bit of the
-    result. Tiles support walls but no segments, so that scenes with segments are corrected contact by contact.
+    box: (x_min, y_min, x_max, y_max), m. scales: `ContactScales`. workspace: `CorrectionWorkspace`. The memory in it
+    decides whether the contacts are corrected in tiles or in turn, and changes no bit of the result. Tiles support
+    walls but no segments, so that scenes with segments are corrected contact by contact.
     """
     n, m, memory = bodies.mass.shape[0], contacts.body_a.shape[0], workspace.memory[0]
     if m > workspace.batch.shape[0]:
@@ -137,7 +137,7 @@ def correct_positions(bodies, contacts, box, segments, scales, sweeps, workspace
 
 @njit(cache=True, error_model="numpy")
 def correct_in_turn(bodies, contacts, box, segments, scales):
-    """Do one sweep of position correction, contact by contact, in place. Returns the deepest separation, m, or 0."""
+    """Do one sweep of position correction, contact by contact, in place. Returns the least separation, m, at most 0."""
     n = bodies.mass.shape[0]
     position, radius, mass = bodies.position, bodies.radius, bodies.mass
     slop, skin, longest = scales.slop, scales.wall_skin, scales.max_correction

@@ -8,8 +8,8 @@ If l is the arm of a body of radius r, its surface moves tangentially at ω l = 
 stores s in place of ω: for a disc (I = m r² / 2) an impulse λ_t changes s by 2 (l / r) λ_t / m, whatever its radius.
 
 Without friction no impulse rotates a circle. If `friction` is None instead of a number, every function here leaves the
-tangent rows out. None is a type of its own, so that the choice is made when the caller is compiled. The result has the
-same bits as with μ = 0. A start with tangent impulses needs rows with tangents.
+tangent rows out. For Numba, None has a type of its own. So the choice is made when the caller is compiled, and costs no
+time in a sweep. The result has the same bits as with μ = 0. A start with tangent impulses needs rows with tangents.
 
 `sweep` relaxes one contact at a time. `solvers.batched.sweep_tiles` relaxes eight at a time. `cnn.through_solver` goes
 through sweeps backwards, for the gradient of the error that they leave.
@@ -28,8 +28,8 @@ V_X, V_Y, V_S, INVERSE_MASS = range(4)
 """Columns of the array of solver bodies, (n + 4, 4): velocity of the centre, m/s; s = ω r, m/s; 1 / m, 1/kg.
 
 The last four rows stand for the walls: at rest, with an inverse mass of 0. Segments share the last of these rows. If
-surfaces move, its s is 1, and the arm of a contact with a segment is the speed of the surface, so that the segment
-drags the circle (`move_surfaces`). If segments move, there are further rows: one for each contact with a moving
+surfaces move, s of this row is 1, and the arm of a contact with a segment is the speed of the surface, so that the
+segment drags the circle (`move_surfaces`). If segments move, there are further rows: one for each contact with a moving
 segment, with the segment's velocity at this contact (`move_walls`)."""
 
 BODY_A, BODY_B = range(2)
@@ -72,8 +72,8 @@ more_rows = njit(cache=True)(make_rows)
 def with_wall_bodies(solver_bodies, contacts, n, actuation):
     """Return solver bodies with one more row for each contact with a moving segment.
 
-    Without such contacts this is the same array; otherwise it is a larger one, uninitialised. n: number of circles.
-    actuation: `Actuation` of the step, or None.
+    Without such contacts the result is the array `solver_bodies`; otherwise it is a larger one, uninitialised. n:
+    number of circles. actuation: `Actuation` of the step, or None.
     """
     if actuation is None:
         return solver_bodies
@@ -86,11 +86,11 @@ def with_wall_bodies(solver_bodies, contacts, n, actuation):
 
 @njit(cache=True, error_model="numpy")
 def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, share):
-    """Return the rows of the contacts. Their starting impulses are those of the contacts times `share`.
+    """Return the rows of the contacts. Their starting impulses are those of the contacts times the number `share`.
 
-    The rows are views of the buffer, or of a larger one. Effective masses are 1 / (J M⁻¹ Jᵀ). radius: (n,), m.
-    segments: `Segments`, or None. solver_bodies: (N, 4), with inverse masses. friction: μ, or None for rows without
-    tangents. If segments move, `move_walls` has to follow.
+    The rows are views of `buffer`, which is a `Rows`, or of a larger one. Effective masses are 1 / (J M⁻¹ Jᵀ). If
+    segments move, `move_walls` has to follow. radius: (n,), m. segments: `Segments`, or None. solver_bodies: (N, 4),
+    with inverse masses. friction: μ, or None for rows without tangents.
     """
     v, m, last = solver_bodies, contacts.body_a.shape[0], radius.shape[0] + 3
     if m > buffer.body.shape[0]:
@@ -276,11 +276,11 @@ def store_impulses(rows, contacts, substeps):
 
 @njit(cache=True, error_model="numpy")
 def best_share(rows, solver_bodies):
-    """Return α = clip(−b·λ / λ·A λ, 0, 1) for the impulses λ of the rows; 1 if these change no velocity.
+    """Return α = clip(−(b·λ) / (λ·A λ), 0, 1) for the impulses λ of the rows; 1 if these change no velocity.
 
-    Of all multiples of λ, α λ has the least energy ½ α² λ·A λ + α b·λ, with A = J M⁻¹ Jᵀ and b = J v⁻. One pass over
-    the contacts is enough, because λ·A λ is twice the kinetic energy of the velocity changes by λ: Σ m |Δv|² + ½ m Δs²,
-    s = ω r. rows: `Rows` with tangents. solver_bodies: velocities v⁻ before impulses, (N, 4).
+    Of all factors from 0 to 1, α gives the least energy ½ α² λ·A λ + α b·λ, with A = J M⁻¹ Jᵀ and b = J v⁻. One pass
+    over the contacts is enough, because λ·A λ is twice the kinetic energy of the velocity changes by λ:
+    Σ m |Δv|² + ½ m Δs², with s = ω r. rows: `Rows` with tangents. solver_bodies: velocities v⁻ before impulses, (N, 4).
     """
     v = solver_bodies
     change = np.zeros((v.shape[0], 3))
@@ -311,7 +311,7 @@ def best_share(rows, solver_bodies):
 def projected(normal: np.ndarray, tangent: np.ndarray, friction) -> tuple[np.ndarray, np.ndarray]:
     """Return impulses clamped to the friction cone as in a sweep: λ_n to >= 0, then λ_t to ±μ λ_n.
 
-    normal, tangent: λ_n and λ_t, (m,) each, N·s. friction: μ, one number, or one number a contact.
+    normal, tangent: λ_n and λ_t, (m,) each, N·s. friction: μ, one number, or a number for each contact.
     """
     p_n = np.maximum(normal, 0.0)
     return p_n, np.clip(tangent, -friction * p_n, friction * p_n).astype(tangent.dtype, copy=False)

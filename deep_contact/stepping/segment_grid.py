@@ -242,10 +242,10 @@ def nearest_part(segment, x, y):
 def segment_gap(segment, x, y, h_x=0.0, h_y=0.0):
     """Return (distance, n_x, n_y): the distance of a point from a segment, m, and the unit normal towards the segment.
 
-    h_x, h_y: normal from an earlier search, or 0. It tells on which side of the segment the point was. On the other
-    side the distance is negative. Without it the distance is never negative. If the earlier normal is perpendicular to
-    the segment, the distance is measured from the line of the segment, even if the point has passed an end since then.
-    As in Box2D, a contact at a joint therefore does not change within a step.
+    h_x, h_y: normal from an earlier search, or 0. The earlier normal tells on which side of the segment the point was.
+    If the point is on the other side now, the distance is negative. Without an earlier normal it is never negative. If
+    the earlier normal is perpendicular to the segment, the distance is measured from the line of the segment, even if
+    the point has passed an end since then. As in Box2D, a contact at a joint therefore does not change within a step.
     """
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     length = math.sqrt(e_x * e_x + e_y * e_y)

@@ -19,9 +19,9 @@ from deep_contact.stepping import metrics
 
 
 def mechanical_energy(scene: State, bodies: Bodies) -> float:
-    """Return the sum of kinetic and potential energy of some circles in the box and gravity of a scene, J.
+    """Return the sum of the kinetic and the potential energy of some circles, J.
 
-    The potential energy is 0 at the lowest point of the box.
+    The potential energy is 0 at the lowest point of the box. scene: scene that has the box and the gravity.
     """
     x_min, y_min, x_max, y_max = scene.world.box
     gravity = np.asarray(scene.world.gravity)

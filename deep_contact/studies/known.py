@@ -31,7 +31,8 @@ def scene_of(places, *, slope=0.0, gravity=G, friction=0.0, restitution=0.0, seg
     """Return a scene of circles of radius 1 m in a box of 400 m × 40 m.
 
     places: centres of the circles, (n, 2), m. slope: angle of the floor, degrees; the box stays upright, and the
-    gravity is tilted instead. gravity: acceleration, m/s². bodies: further arguments of `make_bodies`.
+    gravity is tilted instead. gravity: acceleration, m/s². friction: Coulomb's μ. restitution: Newton's e. segments:
+    as in `World`. bodies: further arguments of `make_bodies`.
     """
     leaning = gravity * sin(radians(slope)), -gravity * cos(radians(slope))
     constants = {"friction": friction, "restitution": restitution, "segments": segments}

@@ -1,4 +1,4 @@
-"""The study of runs: errors and computing times of solver settings on many scenes, and the settings of the presets.
+"""The study of runs: errors and times of solver settings on many scenes, and the settings of the accuracy presets.
 
 `observed_rows` measures errors. Every setting simulates the same scenes, by the functions of `deep_contact.measure`.
 `timed_rows` measures times, one after the other, on a machine that runs nothing else. The study (run_tradeoff.py), the
@@ -167,7 +167,7 @@ def observed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mappi
 
 
 def timed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_) -> float:
-    """Return the mean computing time of a run for each Δt of the scene in simulated time, μs.
+    """Return the computing time of a run for a simulated time of Δt, on average, μs.
 
     Δt is the time step that the scene has by default, not that of the setting. make, kind, n_bodies, seed, setting,
     seconds: as for `observed`.
@@ -196,7 +196,8 @@ def observed_rows(
     parts = [(key, common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": setting})
              for key, (setting, count) in cases.items() for one in parallel.seeds(seed, count)]  # fmt: skip
     parts.sort(key=lambda part: part[0][1] / part[1]["setting"]["dt"])  # runs that take little time come first
-    # The observations of a case are in the order of seeds, so that those of a scene and its reference have one index.
+    # The observations of a case are in the order of seeds, as are those of its reference. So observations with the same
+    # index are of the same scene.
     seen: dict[Key, list] = {key: [] for key in cases}
     tasks = [part for _, part in parts]
     for (key, _), stored in zip(parts, done("observed", partial(observed, make), tasks, work=work, jobs=jobs)):
@@ -289,9 +290,10 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
     engine no margin is required.
 
     The value of the ratio is the median over the processes that measured times. Errors have confidence intervals, and
-    low and high show their effect. For low, settings are also chosen with our errors at the upper bounds of their
-    intervals and the other engines' errors at the lower bounds, and the smallest ratio of all processes is taken. For
-    high the bounds are exchanged, and the largest ratio is taken. Entries of the ratio are None if they are unknown.
+    low and high show their effect. For low, settings are chosen a second time, with our errors at the upper bounds of
+    their intervals and the other engines' errors at the lower bounds. low is the smallest ratio of both choices in any
+    process. For high the bounds are exchanged, and the largest ratio is taken. Entries of the ratio are None if they
+    are unknown.
     """
     known = [row for row in rows if row["us"] is not None and row["errors"] and row.get("known", 0.0) <= KNOWN]
 

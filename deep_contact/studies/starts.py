@@ -112,14 +112,14 @@ def sweeps_to(theta: np.ndarray, threshold: float = THRESHOLD) -> int:
 def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> dict[str, np.ndarray]:
     """Return the convergence of some solves: {"theta": mean θ after each sweep, N·s, "sweeps": `sweeps_to` of each}.
 
-    thetas: θ after each sweep of a solve, N·s, an array for each solve. sweeps: largest number of sweeps, the length of
-    "theta" (Eq 2.30).
+    The mean is that of Eq 2.30. thetas: θ after each sweep of a solve, N·s, an array for each solve. sweeps: largest
+    number of sweeps, the length of "theta".
     """
     return {"theta": mean_theta(thetas, sweeps), "sweeps": np.array([sweeps_to(theta) for theta in thetas])}
 
 
 def _seconds_of(start, state: State, solver) -> tuple[float, float]:
-    """Return the computing time of a start's impulses and that of a solve from them, s, each the least of three."""
+    """Return the computing times of a start's impulses and of a solve from them, s: each the least of three times."""
     impulse = start(state, solver)
     both = {"start": lambda: start(state, solver), "solve": lambda: solve_contacts(state, solver=solver, start=impulse)}
     took = interleaved(both, repeats=3)
@@ -143,7 +143,7 @@ def paired(
 
     With `velocity_sweeps`, a result also has "velocity", the errors, (states, len(velocity_sweeps)). They are not
     finite if no impulses were needed. With `seconds`, it has "seconds", (states, 2), the time of the start and of the
-    solve, s, each the least of three.
+    solve, s, each the least of three measured times.
     """
     from deep_contact.cnn.evaluation import velocity_errors
 
@@ -385,9 +385,10 @@ def convergence_figure(
 ) -> Figure:
     """Return a `Figure` that compares starts by `compare_starts` with the thesis's settings.
 
-    starts: name -> description (`start_of`). If a description has only the fields "spacing" and "transfer", as in
-    `CHOSEN`, the figure's option "spacing" replaces its spacing. claims: function (data) -> `Claim`s. sweeps: number of
-    sweeps in a step. over, hidden: as for `draw_comparison`. modes: some of `MODES`.
+    id, title, seed: fields of the `Figure`. starts: name -> description (`start_of`). If a description has only the
+    fields "spacing" and "transfer", as in `CHOSEN`, the figure's option "spacing" replaces its spacing. claims:
+    function (data) -> `Claim`s. sweeps: number of sweeps in a step. over, hidden: as for `draw_comparison`. modes: some
+    of `MODES`.
     """
     plain_sph = {"spacing", "transfer"}
     chosen = {name: of for name, of in starts.items() if isinstance(of, Mapping) and of.keys() == plain_sph}
@@ -416,8 +417,8 @@ def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[in
     """Return Figure 5.4 or 5.5: the thesis's search for the best grid spacing d and support radius h (section 5.1.3).
 
     The figure's data are those of `compare_starts` in independent runs. A start is a pair (d, h), with the name of
-    `grid_of`, and its image is read back in both ways of `TRANSFERS`. The entry "numbers" of the data is number of
-    circles -> data of the pairs with d = h, read back bilinearly.
+    `grid_of`, and its image is read back in both ways of `TRANSFERS`. The entry "numbers" of the data maps
+    each number of circles to the data of the pairs with d = h, read back bilinearly.
     id: "5.4" or "5.5". kernel: name of the kernel. claims: function (data) -> `Claim`s. numbers: numbers of circles
     for the entry "numbers".
     """
@@ -473,8 +474,8 @@ SHOWN = 95
 def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: str) -> Figure:
     """Return Figure 3.6 or 5.1: snapshots of the thesis's scene at some times.
 
-    times: simulated times of the snapshots, s. colour_by: quantity that colours the circles, as for
-    `plotting.draw_state`.
+    id, title: fields of the `Figure`. times: simulated times of the snapshots, s. colour_by: quantity that colours the
+    circles, as for `plotting.draw_state`.
     """
 
     def compute(options, seed, jobs, progress):

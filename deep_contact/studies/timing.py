@@ -28,7 +28,7 @@ def interleaved(
     The functions are called in turns, once to warm up and then `repeats` times. A call's time does not include the
     release of its result, which `timeit` would include. The garbage collector is off during the calls.
     runs: name -> function without arguments. repeats: number of timed calls of each function. reduce: function that
-    makes one number of the list of times. clock: function that returns a time, s; `time.thread_time` counts only the
+    reduces the list of times to one number. clock: function that returns a time, s; `time.thread_time` counts only the
     computing time of this thread. setup: name -> function that is called before each call of the function with this
     name, and is not timed.
     """

@@ -60,8 +60,8 @@ def scenes_of(part: Mapping) -> int:
 def intervals(part: Mapping, first: Names, second: Names, *, of: Callable | None = None) -> np.ndarray:
     """Return the ratio of two starts' mean θ after each number of sweeps, with its band: [ratio, low, high], (3, k).
 
-    If there are several first starts, the largest of their θ is taken. If there are several second starts, the smallest
-    of their θ is taken. The band is that of `band`.
+    The ratio is θ of the first start over θ of the second. If there are several first starts, the largest of their θ is
+    taken. If there are several second starts, the smallest of their θ is taken. The band is that of `band`.
     part: the data of one mode in the result of `starts.compare_starts`. first, second: names of starts. of: function
     that reduces each curve to one number before the ratio is taken, (rows, k) -> (rows,), such as `rise`. The result is
     then (3, 1), with the bounds of `interval`.
@@ -87,9 +87,11 @@ def intervals(part: Mapping, first: Names, second: Names, *, of: Callable | None
 def band(ratios: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: int = 2000) -> np.ndarray:
     """Return k positive ratios and their confidence band, [ratios, low, high], (3, k).
 
-    All k ratios lie within the band with a probability of 95 %. The band is made by bootstrap over scenes. The
-    deviations of the logarithms of the ratios are divided by their standard deviation at each k. The 95 % quantile of
-    the largest of these over k gives the width of the band (the single-step max-t of Westfall and Young 1993).
+    All k ratios lie within the band with a probability of 95 %. The band is made by bootstrap over scenes, on the
+    logarithms of the ratios. In each resampling, the deviation of each ratio is divided by this ratio's standard
+    deviation, and the largest of the k absolute values is taken. The 95 % quantile of these largest values, times the
+    standard deviation of a ratio, is half the width of the band there (the single-step max-t of Westfall and Young
+    1993).
     ratios: function from numbers of scenes, (rows, count), a row for each resampling, to ratios, (rows, k). count:
     number of scenes; with one scene, low and high equal the ratios. resamples: number of resamplings.
     """

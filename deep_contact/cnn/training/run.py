@@ -73,14 +73,14 @@ def train(
 
     If the folder `out` has an unfinished run, this run is resumed.
     config: settings of the run. data: folder of the simulations. out: folder of the run. from_model: path of a model
-    file whose weights the network has at first; the spec of its images has to be that of the settings
+    file whose weights the network has at first; the images of the network in the file have to be defined as in `config`
     (`config.config_of` returns such settings). threads: number of TensorFlow's threads (`limit_threads`), or None for
     no change. command: the command that started the run, a text for the card. held_out: approximate number of test
     states on which the errors on the card are measured. verbose: 0 prints nothing, 1 a progress bar, 2 a line for each
     epoch, and "auto" is 1 on a terminal and 2 elsewhere; unless it is 0, the sizes of the files are printed first.
     callbacks: Keras callbacks; a resumed run calls them for the remaining epochs only.
-    Raises ValueError if the run in `out` was started with other settings or data, where `epochs` may differ unless the
-    learning rates depend on it. Raises FloatingPointError if the loss is not finite.
+    Raises ValueError if the run in `out` was started with other settings or data. Another number of `epochs` raises it
+    only if the learning rates depend on this number. Raises FloatingPointError if the loss is not finite.
     """
     store, out = Store(data), Path(out)
     out.mkdir(parents=True, exist_ok=True)
