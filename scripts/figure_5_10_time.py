@@ -112,11 +112,11 @@ def compute(options, seed, jobs, progress):
 
     def scene(n_bodies, seed):
         world = {name: options[name] for name in ("friction", "restitution")}
-        return piles.scene(n_bodies, seed, **world).replace(dt=options["dt"])
+        return piles.pile_scene(n_bodies, seed, **world).replace(dt=options["dt"])
 
     for size, count, after, most in zip(*(options[name] for name in ("sizes", "states", "every", "most"))):
         fallen = [piles.pile("settling", size, one, make=scene) for one in parallel.seeds(seed, options["scenes"])]
-        states = [piles.states_of(pile, count=count, every=after) for pile in fallen]
+        states = [piles.pile_states(pile, count=count, every=after) for pile in fallen]
         flat, refused = [state for of_scene in states for state in of_scene], {}
         for name in networks:
             try:

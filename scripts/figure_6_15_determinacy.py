@@ -49,7 +49,7 @@ def packed(kind: str, n_bodies: int, friction: float, smallest: float, seed: int
         return simulate(state, steps=1, solver=well).state
     for _ in range(20):
         state = simulate(state, steps=50, solver=well).state
-        if piles.rms_speed(state) < 1e-3:
+        if piles.rms_speed_of_state(state) < 1e-3:
             break
     return state
 

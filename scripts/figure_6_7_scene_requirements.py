@@ -71,7 +71,7 @@ def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
     positions of a circle after `steps` steps with and without tangent rows, m. For this comparison μ is 1e-300 and 0.
     The former needs tangent rows, but its friction forces are negligible.
     """
-    pile = ready(at_rest(piles.scene(n_bodies, seed)))
+    pile = ready(at_rest(piles.pile_scene(n_bodies, seed)))
     contacts = pile.contacts._replace(tangent_start=np.zeros(pile.contacts.count))
     frictionless, nearly = (
         pile.replace(world=replace(pile.world, friction=friction), contacts=contacts) for friction in (0.0, 1e-300)
@@ -96,7 +96,7 @@ def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[
     Returns name of the saving -> result of `ratio`, whose times are those of a step with `STEP`, s. The entry "apart"
     is the largest distance between the positions of a circle with and without the saving, m.
     """
-    pile = at_rest(piles.scene(n_bodies, seed))
+    pile = at_rest(piles.pile_scene(n_bodies, seed))
     ways = {
         "awake": dc.Simulator(pile, solver=STEP),
         "asleep": dc.Simulator(pile, solver=STEP, sleep=True),

@@ -26,7 +26,7 @@ from deep_contact.state.arrays import Bodies
 from deep_contact.state.constants import TIME_STEP
 from deep_contact.state.state import State
 from deep_contact.studies import runs
-from deep_contact.studies.known import G, end, scene_of
+from deep_contact.studies.known import G, end, known_scene
 
 DENSE_KINDS = [kind for kind in runs.KINDS if "1 : " in kind or kind == "dam break"]
 """Kinds of scenes that need more sweeps: circles of two densities, and the dam break."""
@@ -234,18 +234,18 @@ def motions() -> Iterator[tuple[State, float, Callable[[Bodies], float]]]:
         tangent = min(friction * (1.0 + restitution) * 6.0, 3.0 / 3.0)  # tangent impulse over mass, λ_t / m, m/s
         after = 3.0 - tangent, 6.0 * restitution, -2.0 * tangent
         material = {"friction": friction, "restitution": restitution}
-        disc = scene_of([[10.0, 2.0]], gravity=0.0, **material, velocity=[3.0, -6.0])
+        disc = known_scene([[10.0, 2.0]], gravity=0.0, **material, velocity=[3.0, -6.0])
         yield disc, 0.4, lambda bodies, after=after: _off((*bodies.velocity[0], bodies.spin[0]), after) / 6.0
     for mass in (1.0, 100.0):
         velocity = [[4.0, 0.0], [-4.0, 0.0]]
-        pair = scene_of([[10.0, 20.0], [13.0, 20.0]], gravity=0.0, mass=[1.0, mass], velocity=velocity)
+        pair = known_scene([[10.0, 20.0], [13.0, 20.0]], gravity=0.0, mass=[1.0, mass], velocity=velocity)
         together = 4.0 * (1.0 - mass) / (1.0 + mass)
         yield pair, 0.6, lambda bodies, v=together: _off(bodies.velocity[:, 0], v) / 4.0
-    sliding = scene_of([[10.0, 1.0]], friction=0.3, velocity=[4.0, 0.0])
+    sliding = known_scene([[10.0, 1.0]], friction=0.3, velocity=[4.0, 0.0])
     yield sliding, 1.5, lambda bodies: _off(bodies.velocity[0, 0], 8.0 / 3.0) / 4.0
     slopes = (0.5, 20.0, 4.0 / 3.0 * G * sin(radians(20.0))), (0.2, 45.0, 1.6 * G * sqrt(0.5))
     for friction, angle, speed in slopes:
-        disc = scene_of([[10.0, 1.0]], slope=angle, friction=friction)
+        disc = known_scene([[10.0, 1.0]], slope=angle, friction=friction)
         yield disc, 2.0, lambda bodies, v=speed: _off(bodies.velocity[0, 0], v) / v
 
 
@@ -274,9 +274,9 @@ def wanted(options: Mapping) -> dict[tuple[str, int, str], tuple[dict, int]]:
 def compute(options, seed, jobs, progress):
     """Measure all scenes and settings, and choose the settings of the presets."""
     common = {"work": Path(options["work"]), "seconds": options["seconds"], "seed": seed}
-    rows = runs.observed_rows(runs.scene, wanted(options), **common, jobs=jobs)
+    rows = runs.observed_rows(runs.scene_of_kind, wanted(options), **common, jobs=jobs)
     times = {key: times_of(row, options["processes"]) for key, row in rows.items() if options["timed"]}
-    return judged(runs.timed_rows(runs.scene, rows, times, **common))
+    return judged(runs.timed_rows(runs.scene_of_kind, rows, times, **common))
 
 
 def times_of(row: Mapping, processes: int) -> int:

@@ -73,7 +73,7 @@ TIME_STEPS = {"slippery": 0.025, "loose": 0.005}
 def scene(kind, n_bodies, seed):
     """Return a scene. kind: one of `KINDS`."""
     options = dict(KINDS[kind])
-    made = options.pop("make", piles.scene)(n_bodies, seed=seed, **options)
+    made = options.pop("make", piles.pile_scene)(n_bodies, seed=seed, **options)
     return made.replace(dt=TIME_STEPS.get(kind, made.dt))
 
 

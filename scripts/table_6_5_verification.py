@@ -12,7 +12,7 @@ from deep_contact import figures
 from deep_contact.figures import Claim, Figure
 from deep_contact.measure import peers
 from deep_contact.state.constants import WALL_SKIN
-from deep_contact.studies.known import G, end, scene_of
+from deep_contact.studies.known import G, end, known_scene
 
 OURS = "ours"
 SILO = "Janssen's silo, floor load over weight"
@@ -27,9 +27,9 @@ def cases():
     elastic = {"gravity": 0.0, "restitution": 1.0}
     disc, slip = "a = 2/3 g sin α (textbook)", "a = g (sin α − μ cos α) where tan α > 3 μ (textbook)"
     exchange = "one stops, one leaves (textbook)"
-    drop, swing = scene_of([[10.0, 3.0]], restitution=0.5), 20.0 - 1.0 - WALL_SKIN
-    graze = scene_of([[10.0, 3.0]], gravity=0.0, friction=0.1, restitution=0.5, velocity=[4.0, -2.0])
-    press = scene_of([[10.0, 1.01], [10.0, 3.01], [10.0, 5.01]], mass=[1.0, 1.0, 100.0])
+    drop, swing = known_scene([[10.0, 3.0]], restitution=0.5), 20.0 - 1.0 - WALL_SKIN
+    graze = known_scene([[10.0, 3.0]], gravity=0.0, friction=0.1, restitution=0.5, velocity=[4.0, -2.0])
+    press = known_scene([[10.0, 1.01], [10.0, 3.01], [10.0, 5.01]], mass=[1.0, 1.0, 100.0])
 
     def speed(state, circle=0):
         return lambda run: run(state, 2.0).bodies.velocity[circle, 0]
@@ -44,21 +44,21 @@ def cases():
 
     return {
         "free fall, way after 1 s": ("y = g t² / 2 (MFiX DEM-01)",
-            lambda run: 21.0 - run(scene_of([[10.0, 21.0]]), 1.0).bodies.position[0, 1], G / 2),
+            lambda run: 21.0 - run(known_scene([[10.0, 21.0]]), 1.0).bodies.position[0, 1], G / 2),
         "bounce, speed 0.1 s after": ("e = v′ / v (Chung and Ooi 2011; MFiX DEM-02)",
             lambda run: run(drop, 0.1 + sqrt(4 / G)).bodies.velocity[0, 1], 0.5 * sqrt(4 * G) - 0.1 * G),
         "oblique impact, speed along the wall": ("v′ = v − μ (1 + e) v_n (Chung and Ooi 2011; MFiX DEM-05)",
             speed(graze), 4.0 - 0.1 * 1.5 * 2.0),
-        "slope without slip, speed after 2 s": (disc, speed(scene_of([[10.0, 1.0]], slope=20.0, friction=0.5)),
+        "slope without slip, speed after 2 s": (disc, speed(known_scene([[10.0, 1.0]], slope=20.0, friction=0.5)),
             4 / 3 * G * sin(radians(20))),
-        "slope with slip, speed after 2 s": (slip, speed(scene_of([[10.0, 1.0]], slope=45.0, friction=0.2)),
+        "slope with slip, speed after 2 s": (slip, speed(known_scene([[10.0, 1.0]], slope=45.0, friction=0.2)),
             1.6 * G * sqrt(0.5)),
         "sliding to rolling, speed": ("rolls at 2/3 of its speed (Coriolis 1835; MFiX DEM-04)",
-            speed(scene_of([[10.0, 1.0]], friction=0.3, velocity=[4.0, 0.0])), 8 / 3),
+            speed(known_scene([[10.0, 1.0]], friction=0.3, velocity=[4.0, 0.0])), 8 / 3),
         "two equal circles, speed of the second": (exchange,
-            speed(scene_of(row[:2], velocity=[[4.0, 0.0], still], **elastic), -1), 4.0),
+            speed(known_scene(row[:2], velocity=[[4.0, 0.0], still], **elastic), -1), 4.0),
         "Newton's cradle, speed of the last": (exchange,
-            speed(scene_of(row, velocity=[[4.0, 0.0], still, still, still], **elastic), -1), 4.0),
+            speed(known_scene(row, velocity=[[4.0, 0.0], still, still, still], **elastic), -1), 4.0),
         "two circles crushed by 100 times their mass, height": ("rigid: 5 r (after MFiX DEM-03)",
             lambda run: run(press, 2.0).bodies.position[2, 1] - WALL_SKIN, 5.0),
         "two circles crushed, force between them": ("what lies above (after MFiX DEM-03)",
@@ -80,7 +80,7 @@ def bowl_of(swing, friction):
     angle = np.radians(np.linspace(-6.0, 6.0, 401))
     line = np.stack([50.0 + 20.0 * np.sin(angle), 21.0 - 20.0 * np.cos(angle)], axis=1)
     place = 50.0 + swing * sin(0.05), 21.0 - swing * cos(0.05)
-    return scene_of([place], friction=friction, segments=np.stack([line[:-1], line[1:]], axis=1))
+    return known_scene([place], friction=friction, segments=np.stack([line[:-1], line[1:]], axis=1))
 
 
 def least_friction(run):
@@ -90,7 +90,7 @@ def least_friction(run):
     """
 
     def rise(friction):
-        heap = scene_of([[10.0, 1.01], [12.0, 1.01], [11.0, 1.01 + sqrt(3.0)]], friction=friction)
+        heap = known_scene([[10.0, 1.01], [12.0, 1.01], [11.0, 1.01 + sqrt(3.0)]], friction=friction)
         return run(heap, 5.0).bodies.position[2, 1] - 2.7
 
     return bisect(rise, 0.2, 0.4, xtol=1e-4)

@@ -106,7 +106,7 @@ def force_bounds(
     lengths = np.column_stack([np.ones((state.bodies.count, 2)), 1 / state.bodies.radius]).ravel()
     sums = sparse.diags_array(lengths) @ sparse.csc_array(contact_problem(state).jacobian).T
     total = sums @ impulse.ravel() / scale
-    program = Program(sparse.csr_array(sums @ edges), total)
+    program = LinearProgram(sparse.csr_array(sums @ edges), total)
     shares = np.array_split(_side_by_side(state, wanted), number_of_parts)
     parts = [([wanted[i] for i in share], edges, program) for share in shares]
     ends = np.zeros((len(wanted), 2, 2))
@@ -127,7 +127,7 @@ def _side_by_side(state: StateWithContacts, wanted: Sequence[int]) -> np.ndarray
     return np.lexsort((np.where(strip % 2 == 0, 1.0, -1.0) * position[:, 1], strip))
 
 
-class Program(NamedTuple):
+class LinearProgram(NamedTuple):
     """The constraints x >= 0 and A x = total, which all linear programs share; A is `matrix`. Only the costs differ."""
 
     matrix: sparse.csr_array
@@ -144,7 +144,7 @@ def _highspy():
     return highspy
 
 
-def _highs(program: Program) -> Highs:
+def _highs(program: LinearProgram) -> Highs:
     """Return a HiGHS solver that has solved the program for costs of 0.
 
     When the costs are changed, the primal simplex method continues from this solution.

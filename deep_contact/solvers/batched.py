@@ -19,7 +19,7 @@ from deep_contact.solvers.batches import BLOCKS, CONTACTS
 from deep_contact.state.constants import POSITION_TOLERANCE
 from deep_contact.stepping import broad_phase, stay_inside
 from deep_contact.stepping.contacts import carry_impulses, find_pairs, mass_if_fixed, write_geometry
-from deep_contact.stepping.context import begin_steps, place_segments, walls_of
+from deep_contact.stepping.context import begin_steps, set_segments, walls_of
 from deep_contact.stepping.convergence import all_finite, is_over
 from deep_contact.stepping.impacts import logged_rebound
 from deep_contact.stepping.interface import Loop, SolverOptions, register, tolerance_argument
@@ -262,7 +262,7 @@ def do_substep_in_batches(context, workspace, log, actuation):
         following = without_passed(following, bodies, segments, actuation, log.progress)
         if passed >= 0:
             log.progress[PASSED] = passed + 1
-        place_segments(context, segments)
+        set_segments(context, segments)
     carry_impulses(solved, following, options.carry)
     context.contacts = following
 

@@ -85,7 +85,7 @@ def hand_down(rows, friction, v, still, height, order):
             is_a = body[i, BODY_A] == a
             b, sign = (body[i, BODY_B], 1.0) if is_a else (body[i, BODY_A], -1.0)
             arm, normal = data[i, ARM_B if is_a else ARM_A], (data[i, N_X], data[i, N_Y])
-            push(v, b, sign, normal, arm, (impulse[i, NORMAL], impulse[i, TANGENT]))
+            apply_to_body(v, b, sign, normal, arm, (impulse[i, NORMAL], impulse[i, TANGENT]))
 
 
 @njit(cache=True)
@@ -115,11 +115,11 @@ def carry(a, i, rows, friction, v, still):
     p_n = max(impulse[i, NORMAL] - (d_x * n_x + d_y * n_y) / w, 0.0) - impulse[i, NORMAL]
     impulse[i, NORMAL] += p_n
     impulse[i, TANGENT] += p_t
-    push(v, a, sign, (n_x, n_y), mine, (p_n, p_t))
+    apply_to_body(v, a, sign, (n_x, n_y), mine, (p_n, p_t))
 
 
 @njit(cache=True)
-def push(v, a, sign, normal, arm, impulse):
+def apply_to_body(v, a, sign, normal, arm, impulse):
     """Apply an impulse (λ_n, λ_t), N·s, to one body of a contact, in place.
 
     a: the body. sign: −1 if the body is body_a of the contact, 1 if it is body_b. normal: unit normal of the contact.

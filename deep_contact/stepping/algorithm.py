@@ -9,7 +9,7 @@ from __future__ import annotations
 from deep_contact.compiled import njit
 from deep_contact.stepping import sleeping
 from deep_contact.stepping.contacts import carry_impulses, detect_contacts, mass_if_fixed
-from deep_contact.stepping.context import begin_steps, place_segments, walls_of
+from deep_contact.stepping.context import begin_steps, set_segments, walls_of
 from deep_contact.stepping.convergence import all_finite
 from deep_contact.stepping.impacts import logged_rebound
 from deep_contact.stepping.interface import relax
@@ -112,7 +112,7 @@ def do_substep(context, sleep, log, actuation):
         following = without_passed(following, bodies, segments, actuation, log.progress)
         if passed >= 0:
             log.progress[PASSED] = passed + 1
-        place_segments(context, segments)
+        set_segments(context, segments)
     carry_impulses(contacts, following, options.carry)
     sleeping.wake_and_put_to_sleep(substep, following, sleep, actuation)
     context.contacts = following

@@ -112,10 +112,10 @@ def refresh_list(position, radius, cells, ahead):
         return False
     if memory["searches"] >= 0:
         memory["searches"] += ahead == 0.0
-        if memory["pairs"] >= 0 and moves_within(position, cells.anchor, x, y, half):
+        if memory["pairs"] >= 0 and stays_within(position, cells.anchor, x, y, half):
             return True
         x, y, apart = common_motion(position, cells.anchor)
-        if memory["pairs"] >= 0 and moves_within(position, cells.anchor, x, y, half):
+        if memory["pairs"] >= 0 and stays_within(position, cells.anchor, x, y, half):
             return True
     if not math.isfinite(sum_of(position)):
         memory["pairs"] = -1
@@ -144,7 +144,7 @@ def remember(position, gap, cells):
 
 
 @njit(cache=True)
-def moves_within(position, anchor, x, y, distance):
+def stays_within(position, anchor, x, y, distance):
     """Return whether the displacement of every circle from its anchor differs from (x, y), m, by at most `distance`, m.
 
     The result is False if a position is not a number.

@@ -172,6 +172,6 @@ def substep_of(step, segments, substeps=1):
 
 
 @njit(cache=True)
-def place_segments(context, segments):
+def set_segments(context, segments):
     """Replace the segments of `StepContext.substep`, in place. segments: the new `Segments`."""
     context.substep = substep_of(context.substep, segments)

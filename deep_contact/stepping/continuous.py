@@ -40,8 +40,17 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.stepping.broad_phase import smallest_of, sum_of
-from deep_contact.stepping.paths import CARRIED, FIRM, FREE, crossing_paths, follow, make_paths, place_at, sort_swept
-from deep_contact.stepping.segments import carried, moves
+from deep_contact.stepping.paths import (
+    CARRIED,
+    FIRM,
+    FREE,
+    bound_path,
+    crossing_paths,
+    make_paths,
+    place_at,
+    sort_swept,
+)
+from deep_contact.stepping.segments import carried, is_moving
 from deep_contact.stepping.touch_queue import (
     add_touch,
     clear_touches,
@@ -173,7 +182,7 @@ def follow_touches(paths, swept, queue, together, actuation, shifts):
         for i in changed[:number]:
             if shares[i] > 0.0:
                 paths.searches[i, 0] = paths.searches[i, 1] = True
-                follow(i, paths, swept)
+                bound_path(i, paths, swept)
         for i in changed[:number]:
             find_touch(i, time, paths, swept, queue, actuation)
         time = next_time(queue)
@@ -392,7 +401,7 @@ def hold_of(k, paths, actuation):
     if k < n:
         return paths.held[k]
     if actuation is not None:
-        if k >= n + 4 and moves(actuation.wall, k - n - 4):
+        if k >= n + 4 and is_moving(actuation.wall, k - n - 4):
             return CARRIED
     return FIRM
 

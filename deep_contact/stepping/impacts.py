@@ -41,7 +41,7 @@ from deep_contact.compiled import njit
 from deep_contact.stepping.islands import root_of
 from deep_contact.stepping.log import is_asked, work_on
 from deep_contact.stepping.rows import arms_of, row_masses
-from deep_contact.stepping.segments import moves, surface_velocity, wall_velocity
+from deep_contact.stepping.segments import is_moving, surface_velocity, wall_velocity
 
 MOST_STRIKES = 200
 """Largest number of rebounds in a step, per contact. The contact problem stops the approaches that are left then."""
@@ -254,7 +254,7 @@ def ground_of(step, contacts, i, actuation):
     v_x, v_y = -0.5 * step.dt * step.gravity[0], -0.5 * step.dt * step.gravity[1]
     if actuation is not None:
         s = contacts.body_b[i] - step.bodies.mass.shape[0] - 4
-        if s >= 0 and moves(actuation.wall, s):
+        if s >= 0 and is_moving(actuation.wall, s):
             x, y = contacts.position[i, 0], contacts.position[i, 1]
             w_x, w_y = wall_velocity(step.segments.line, actuation.wall, s, x, y)
             v_x, v_y = v_x + w_x, v_y + w_y

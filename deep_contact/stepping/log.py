@@ -11,7 +11,7 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.state.arrays import Contacts
-from deep_contact.stepping.segments import moves, wall_velocity
+from deep_contact.stepping.segments import is_moving, wall_velocity
 
 DONE, WORK, LAST_SWEEPS, WATCHED, FINITE, PASSED = range(6)
 """Elements of `StepLog.progress`.
@@ -123,7 +123,7 @@ def work_on(step, contacts, impulse):
         a, b, x, y = contacts.body_a[i], contacts.body_b[i], contacts.position[i, 0], contacts.position[i, 1]
         v_x, v_y, sign = 0.0, 0.0, -1.0
         if b >= n:
-            if b >= n + 4 and moves(actuation.wall, b - n - 4):
+            if b >= n + 4 and is_moving(actuation.wall, b - n - 4):
                 v_x, v_y = wall_velocity(step.segments.line, actuation.wall, b - n - 4, x, y)
         else:
             fixed = b

@@ -11,7 +11,7 @@ from deep_contact.compiled import njit
 from deep_contact.state.constants import MAX_ROTATION
 from deep_contact.state.scales import FASTEST
 from deep_contact.stepping.continuous import any_fast, collide_fast
-from deep_contact.stepping.paths import moved
+from deep_contact.stepping.paths import displaced
 from deep_contact.stepping.rows import INVERSE_MASS, V_S, V_X, V_Y
 from deep_contact.stepping.segments import has_moving
 
@@ -54,7 +54,7 @@ def integrate_positions(bodies, solver_bodies, step, segments, actuation, shifts
         move(bodies, solver_bodies, step.dt, step.scales.max_translation)
     else:
         if move(bodies, solver_bodies, step.dt, step.scales.max_translation) or has_moving(actuation):
-            start = moved(bodies.position, bodies.velocity, -step.dt)
+            start = displaced(bodies.position, bodies.velocity, -step.dt)
             collide_fast(step, start, segments, actuation, shifts)
     return True
 

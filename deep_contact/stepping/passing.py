@@ -22,7 +22,7 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.stepping.contacts import some_contacts
 from deep_contact.stepping.log import PASSED
-from deep_contact.stepping.segments import has_moving, moves, wall_velocity
+from deep_contact.stepping.segments import has_moving, is_moving, wall_velocity
 
 PARALLEL = 1e-3
 """Largest angle, rad, between d and a normal at which both count as one direction."""
@@ -72,7 +72,7 @@ def without_passed(contacts, bodies, segments, actuation, progress):
 @njit(inline="always")
 def pushes(contacts, i, s, segments, actuation):
     """Return whether segment s moves towards the circle of contact i."""
-    if not moves(actuation.wall, s):
+    if not is_moving(actuation.wall, s):
         return False
     v_x, v_y = wall_velocity(segments.line, actuation.wall, s, contacts.position[i, 0], contacts.position[i, 1])
     return v_x * contacts.normal[i, 0] + v_y * contacts.normal[i, 1] < 0.0
@@ -83,7 +83,7 @@ def rests(b, bodies, actuation):
     """Return whether body b is at rest: a wall, a segment that does not move, or a fixed circle with velocity 0."""
     n = bodies.mass.shape[0]
     if b >= n:
-        return b < n + 4 or not moves(actuation.wall, b - n - 4)
+        return b < n + 4 or not is_moving(actuation.wall, b - n - 4)
     return bodies.mass[b] == math.inf and bodies.velocity[b, 0] == 0.0 and bodies.velocity[b, 1] == 0.0
 
 

@@ -57,7 +57,7 @@ def make_paths(step, segments, start):
     step: `StepInput`. segments: `Segments` at the end of the step. start: centres at the start of the step, (n, 2), m.
     """
     bodies, n = step.bodies, step.bodies.mass.shape[0]
-    rate = moved(bodies.position, start, -1.0)
+    rate = displaced(bodies.position, start, -1.0)
     return Paths(
         step, segments, start, start.copy(), np.zeros(n), rate, 1.0 / bodies.mass, np.zeros(n, np.int64),
         np.zeros((n, 2)), np.zeros(n, np.int64), np.zeros((n, 2), np.bool_),
@@ -65,7 +65,7 @@ def make_paths(step, segments, start):
 
 
 @njit(cache=True)
-def moved(points, by, share):
+def displaced(points, by, share):
     """Return points + share · by. points, by: (n, 2). This loop takes less time to compile than NumPy's expression."""
     result = np.empty_like(points)
     for i in range(points.shape[0]):
@@ -106,7 +106,7 @@ def sort_swept(paths):
     """Return the `Swept` of paths at the start of a step."""
     n = paths.step.bodies.radius.shape[0]
     cells, rank = _make_cells(n), np.empty(n, np.int64)
-    middle = moved(paths.start, paths.rate, 0.5)
+    middle = displaced(paths.start, paths.rate, 0.5)
     cells.level[:] = 0
     sort_level(np.int64(0), middle, paths.step.bodies.radius, 0.0, np.int64(0), np.int64(0), cells)
     for k in range(n):
@@ -114,12 +114,12 @@ def sort_swept(paths):
     found, times, box = np.empty(n, np.int64), np.empty(n), np.empty((n, 4))
     swept = Swept(cells.start, cells.order, rank, middle, box, np.zeros(2), cells.grid, found, times)
     for i in range(n):
-        follow(i, paths, swept)
+        bound_path(i, paths, swept)
     return swept
 
 
 @njit(cache=True, _nrt=False)
-def follow(i, paths, swept):
+def bound_path(i, paths, swept):
     """Put the box of circle i around the last piece of its path, in place. The piece may have changed."""
     radius, k, rest = paths.step.bodies.radius[i], swept.rank[i], 1.0 - paths.since[i]
     for axis in range(2):

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.compiled import njit
-from deep_contact.stepping.segments import moves, surface_velocity, wall_velocity
+from deep_contact.stepping.segments import is_moving, surface_velocity, wall_velocity
 
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
 """Columns of the array of solver bodies, (n + 4, 4): velocity of the centre, m/s; s = ω r, m/s; 1 / m, 1/kg.
@@ -80,7 +80,7 @@ def with_wall_bodies(solver_bodies, contacts, n, actuation):
     more = 0
     for i in range(contacts.body_b.shape[0]):
         s = contacts.body_b[i] - n - 4
-        more += s >= 0 and moves(actuation.wall, s)
+        more += s >= 0 and is_moving(actuation.wall, s)
     return solver_bodies if more == 0 else np.empty((n + 4 + more, 4))
 
 
@@ -171,7 +171,7 @@ def move_walls(contacts, segments, solver_bodies, rows, n, actuation):
     row = last = n + 3
     for i in range(contacts.body_a.shape[0]):
         s = contacts.body_b[i] - last - 1
-        if s >= 0 and moves(actuation.wall, s):
+        if s >= 0 and is_moving(actuation.wall, s):
             row += 1
             v_x, v_y = wall_velocity(segments.line, actuation.wall, s, contacts.position[i, 0], contacts.position[i, 1])
             solver_bodies[row, V_X], solver_bodies[row, V_Y], solver_bodies[row, V_S] = v_x, v_y, 1.0

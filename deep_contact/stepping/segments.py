@@ -45,7 +45,7 @@ def surface_velocity(segment, n_x, n_y):
 
 
 @njit(cache=True)
-def moves(wall, s):
+def is_moving(wall, s):
     """Return whether segment s moves. wall: velocities of the ends of all segments, (S, 4), m/s."""
     return wall[s, 0] != 0.0 or wall[s, 1] != 0.0 or wall[s, 2] != 0.0 or wall[s, 3] != 0.0
 
@@ -187,7 +187,7 @@ def first_crossing(segments, x, y, to_x, to_y, buffer, actuation):
     first = math.inf
     for s in near_box(segments, min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y), buffer):
         if actuation is not None:
-            if moves(actuation.wall, s):
+            if is_moving(actuation.wall, s):
                 continue
         first = min(first, crossing(segments.line[s], x, y, to_x, to_y))
     return first

@@ -28,7 +28,7 @@ from deep_contact.state.constants import POSITION_TOLERANCE
 from deep_contact.stepping.contacts import make_contacts, more_contacts, some_contacts
 from deep_contact.stepping.islands import root_of, unite
 from deep_contact.stepping.rows import INVERSE_MASS
-from deep_contact.stepping.segments import has_moving, moves
+from deep_contact.stepping.segments import has_moving, is_moving
 
 STEADY = 0.02
 """Largest difference of two displacements at which a circle does not count as accelerating.
@@ -211,7 +211,7 @@ def wake_and_put_to_sleep(step, contacts, sleep, actuation):
             s >= 0 and segments.line[s, 4] != 0.0
         )
         if actuation is not None:
-            if s >= 0 and moves(actuation.wall, s):
+            if s >= 0 and is_moving(actuation.wall, s):
                 shortest[root] = 0.0
         if is_restless and shortest[root] < np.inf:
             shortest[root] = 0.0

@@ -19,7 +19,7 @@ from deep_contact.state.arrays import WALL_NORMALS
 from deep_contact.stepping.contacts import wall_gap
 from deep_contact.stepping.paths import FIRM, FREE, place_at
 from deep_contact.stepping.segment_grid import BESIDE, ON, START, cells_of_box, segment_gap
-from deep_contact.stepping.segments import carried, crossing, hides, moves, time_to_touch
+from deep_contact.stepping.segments import carried, crossing, hides, is_moving, time_to_touch
 
 FAST = 0.5
 """A circle is fast relative to a body if it moves farther in a step, relative to it, than this share of its radius."""
@@ -63,7 +63,7 @@ def touch_walls(i, now, paths, actuation):
             for j in range(segments.start[begin + left], segments.start[begin + right + 1]):
                 s = segments.near[j]
                 if actuation is not None:
-                    if moves(actuation.wall, s):
+                    if is_moving(actuation.wall, s):
                         continue
                 time = touch_segment(i, s, now, paths, None)
                 if time < first:
@@ -188,7 +188,7 @@ def approach_of(i, k, time, paths, actuation):
     s = k - n - 4
     (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, None)
     if actuation is not None:
-        if moves(actuation.wall, s):
+        if is_moving(actuation.wall, s):
             (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, actuation)
     _, n_x, n_y = segment_gap(paths.segments.line[s], x, y)
     return n_x, n_y, (m_x * n_x + m_y * n_y) / (1.0 - time)
@@ -217,7 +217,7 @@ def slip_apart(i, k, normal, time, paths, actuation):
     else:
         (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, None)
         if actuation is not None:
-            if moves(actuation.wall, s):
+            if is_moving(actuation.wall, s):
                 (x, y), (m_x, m_y) = piece_beside(i, s, time, paths, actuation)
     across = m_x * normal[0] + m_y * normal[1]
     m_x, m_y = m_x - across * normal[0], m_y - across * normal[1]

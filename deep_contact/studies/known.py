@@ -27,7 +27,7 @@ def end(setting: Mapping, scene: State, seconds: float) -> State:
     return run.state()
 
 
-def scene_of(places, *, slope=0.0, gravity=G, friction=0.0, restitution=0.0, segments=(), **bodies) -> State:
+def known_scene(places, *, slope=0.0, gravity=G, friction=0.0, restitution=0.0, segments=(), **bodies) -> State:
     """Return a scene of circles of radius 1 m in a box of 400 m × 40 m.
 
     places: centres of the circles, (n, 2), m. slope: angle of the floor, degrees; the box stays upright, and the

@@ -33,7 +33,7 @@ SETTLE = BatchedPGS(sweeps=10, tolerance=None, position_sweeps=3)
 """Solver with which `packed_pile` simulates the settling of a packing."""
 
 
-def scene(n_bodies: int, seed: int, **options) -> State:
+def pile_scene(n_bodies: int, seed: int, **options) -> State:
     """Return the thesis's scene if there are at most 100 circles, otherwise a loose lattice of circles that falls.
 
     options: arguments of `circles_in_box` or `lattice_in_box`, which make these scenes.
@@ -41,7 +41,7 @@ def scene(n_bodies: int, seed: int, **options) -> State:
     return (circles_in_box if n_bodies <= 100 else lattice_in_box)(n_bodies, seed=seed, **options)
 
 
-def pile(kind: str, n_bodies: int, seed: int, *, solver=THOROUGH, most: int = 2000, make=scene) -> State:
+def pile(kind: str, n_bodies: int, seed: int, *, solver=THOROUGH, most: int = 2000, make=pile_scene) -> State:
     """Make a scene, simulate it until it is a pile of some kind, and return its state.
 
     kind: one of `KINDS`. solver: solver of the simulation. most: largest number of time steps; after these the state is
@@ -51,7 +51,7 @@ def pile(kind: str, n_bodies: int, seed: int, *, solver=THOROUGH, most: int = 20
     state = make(n_bodies, seed=seed)
     for _ in range(most // 10):
         state = simulate(state, steps=10, solver=solver).state
-        if state.contacts.count >= contacts * n_bodies and rms_speed(state) < slowest:
+        if state.contacts.count >= contacts * n_bodies and rms_speed_of_state(state) < slowest:
             break
     return state
 
@@ -78,12 +78,12 @@ def packed_pile(n_bodies: int, seed: int = 0, *, steps: int) -> State:
     return simulate(scene, steps=steps, solver=SETTLE).state
 
 
-def rms_speed(state: State) -> float:
+def rms_speed_of_state(state: State) -> float:
     """Return the root mean square speed of the circles, m/s."""
     return float(np.sqrt(np.mean((state.bodies.velocity**2).sum(axis=1))))
 
 
-def states_of(start: State, *, count: int, every: int = 4) -> list[State]:
+def pile_states(start: State, *, count: int, every: int = 4) -> list[State]:
     """Continue the simulation of a pile, and return `count` solved states, one every `every` steps."""
     return solved_states(start, steps=count * every, solver=NNCG(sweeps=2000))[every - 1 :: every]
 

@@ -71,7 +71,7 @@ def two_densities(n_bodies: int, *, ratio: float, heavy: str = "mixed", seed: in
     heavy: which circles are dense. With "mixed", a random 30 % of them. With "above" or "below", the half that is above
     or below the median height at the start.
     """
-    pile = piles.scene(n_bodies, seed)
+    pile = piles.pile_scene(n_bodies, seed)
     height = pile.bodies.position[:, 1]
     chosen = {
         "mixed": np.random.default_rng((seed, 1)).permutation(n_bodies) < 0.3 * n_bodies,
@@ -134,13 +134,13 @@ Figure 6.2 shows that the next longer time steps give the same results within th
 """
 
 
-def scene(kind: str, n_bodies: int, seed: int) -> State:
+def scene_of_kind(kind: str, n_bodies: int, seed: int) -> State:
     """Return a scene of some kind. kind: one of `KINDS`.
 
     The scene of a pile is the thesis's for at most 100 circles, otherwise a loose lattice that falls.
     """
     options = dict(KINDS[kind])
-    return options.pop("make", piles.scene)(n_bodies, seed=seed, **options)
+    return options.pop("make", piles.pile_scene)(n_bodies, seed=seed, **options)
 
 
 # ---- rows of errors and times, for scenes, settings and seeds ----
@@ -166,7 +166,7 @@ def observed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mappi
     return observe(states_of(made(make, kind, n_bodies, seed), setting, round(seconds / INTERVAL), INTERVAL))
 
 
-def timed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_) -> float:
+def time_run(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_) -> float:
     """Return the computing time of a run for a simulated time of Δt, on average, μs.
 
     Δt is the time step that the scene has by default, not that of the setting. make, kind, n_bodies, seed, setting,
@@ -230,7 +230,7 @@ def timed_rows(
                  for key in keys]  # fmt: skip
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
             jobs = alone if len(scenes) > 1 else 1
-            for key, us in zip(keys, done("timed", partial(timed, make), parts, work=work, jobs=jobs)):
+            for key, us in zip(keys, done("timed", partial(time_run, make), parts, work=work, jobs=jobs)):
                 took[key].append(us)
     return [row | {"us": float(np.median(took[key])) if took[key] else None, "times": took[key]}
             for key, row in rows.items()]  # fmt: skip

@@ -253,7 +253,7 @@ def test_two_densities_are_the_next_larger_ratio_of_the_study(ratio, heavy, kind
 @pytest.mark.parametrize("n", [100, 1000, 3000, 10_000])
 def test_what_a_preset_runs_is_what_the_study_priced(n):
     """Of every kind that the study has, by the shipped table against the study's own choice."""
-    scene_of = cache(lambda kind: runs.scene(kind, n, 0))
+    scene_of = cache(lambda kind: runs.scene_of_kind(kind, n, 0))
     for row in runs.presets(results.reference("run_tradeoff")["data"]["rows"]):
         for kind, priced in row["kinds"].items() if row["n_bodies"] == n else ():
             found = dc.recommend(scene_of(kind), accuracy=row["preset"])

@@ -88,7 +88,7 @@ def test_pyramid_stands_on_friction():
 
 
 def test_a_settling_pile_that_sweeps_do_not_solve():
-    state = piles.states_of(piles.pile("settling", 300, 2), count=1)[0]
+    state = piles.pile_states(piles.pile("settling", 300, 2), count=1)[0]
     swept = metrics.residual(state, dc.solve_contacts(state, solver=dc.PGS(sweeps=5000, tolerance=None)))
     found = solve_exactly(state)
     check_solution(state, found)

@@ -25,7 +25,8 @@ FINE, PEER = COARSE | {"dt": TIME_STEP / 2}, {"engine": "pymunk", "sweeps": 4, "
 def observed(kind, n_bodies, seed, setting, seconds):
     """What is read of the stored observation of a run, which is the same every time."""
     stored, again = (
-        results.plain(runs.observed(runs.scene, kind, n_bodies, seed, setting, seconds=seconds)) for _ in range(2)
+        results.plain(runs.observed(runs.scene_of_kind, kind, n_bodies, seed, setting, seconds=seconds))
+        for _ in range(2)
     )
     assert stored == again
     return observation(json.loads(json.dumps(stored)))
@@ -112,7 +113,7 @@ class Slow:
 def test_neither_the_first_step_nor_the_destruction_of_a_world_is_timed(monkeypatch):
     monkeypatch.setitem(peers.ENGINES, "slow", Slow)
     slow = {"engine": "slow", "sweeps": 4, "dt": TIME_STEP}
-    assert setting_runs.timed(runs.scene("plain", 10, 1), slow, 0.1) < 0.05
+    assert setting_runs.timed(runs.scene_of_kind("plain", 10, 1), slow, 0.1) < 0.05
 
 
 def test_loading_code_is_not_timed(monkeypatch):
@@ -120,7 +121,7 @@ def test_loading_code_is_not_timed(monkeypatch):
     monkeypatch.setattr(
         setting_runs, "simulate", lambda *args, **options: (calls or work(), calls.append(1)) and real(*args, **options)
     )
-    assert setting_runs.timed(runs.scene("plain", 10, 1), COARSE, 0.1) < 0.05
+    assert setting_runs.timed(runs.scene_of_kind("plain", 10, 1), COARSE, 0.1) < 0.05
 
 
 @pytest.mark.parametrize("kind", ["mixed radii", "gas", "drum"])
@@ -134,7 +135,7 @@ def test_scenes_are_observed(kind):
 
 def test_a_step_that_misses_the_observations_is_refused():
     with pytest.raises(ValueError, match="dt: expected"):
-        runs.observed(runs.scene, "plain", 30, 1, COARSE | {"dt": 0.02}, seconds=1.0)
+        runs.observed(runs.scene_of_kind, "plain", 30, 1, COARSE | {"dt": 0.02}, seconds=1.0)
 
 
 @pytest.mark.parametrize("damage", [b"", b'{"k": ', b"\xff\x00", b"\0" * 8])
@@ -165,8 +166,8 @@ def without_runs(monkeypatch):
 def test_fewer_seeds_than_the_reference_meet_its_runs_of_the_same_scenes(tmp_path, without_runs):
     cases = {("plain", 20, "reference"): (runs.REFERENCE, 9), ("plain", 20, "coarse"): (COARSE, 3)}
     common = {"seed": 0, "seconds": 1.0, "work": tmp_path}
-    rows = runs.observed_rows(runs.scene, cases, **common, jobs=1)
-    reference, row = runs.timed_rows(runs.scene, rows, {("plain", 20, "coarse"): 1}, **common)
+    rows = runs.observed_rows(runs.scene_of_kind, cases, **common, jobs=1)
+    reference, row = runs.timed_rows(runs.scene_of_kind, rows, {("plain", 20, "coarse"): 1}, **common)
     assert (reference["errors"], reference["us"]) == (None, None)
     assert (row["seeds"], row["us"], row["times"]) == (3, 7.0, [7.0])
     assert row["errors"]["energy"] == pytest.approx((1.0, 1.0, 1.0))
