@@ -162,7 +162,7 @@ def _ends(part: tuple) -> np.ndarray:
     """Return the least and the largest λ_n and λ_t of k contacts, divided by the mean λ_n: (k, 2, 2).
 
     The second index of the result tells λ_n (0) from λ_t (1), the third the least value (0) from the largest (1). part:
-    (indices of the contacts, edges of all cones as columns, `Program`).
+    (indices of the contacts, edges of all cones as columns, `LinearProgram`).
     """
     contacts, edges, program = part
     edges, ends = edges.tocsr(), np.zeros((len(contacts), 2, 2))
