@@ -64,7 +64,7 @@ KINDS = {
     "heavy on light 1 : 5": {"make": runs.two_densities, "ratio": 5.0, "heavy": "above"},
     "light on heavy 1 : 30": {"make": runs.two_densities, "ratio": 30.0, "heavy": "below"},
 }
-"""Kind of scene -> arguments of the function that makes it. The function is the entry "make", or else `piles.pile_scene`."""
+"""Kind of scene -> arguments of the function that makes it: of the entry "make", or else of `piles.pile_scene`."""
 
 TIME_STEPS = {"slippery": 0.025, "loose": 0.005}
 """Kind of scene -> its Δt, s, for the kinds whose Δt is not that of the study."""

@@ -125,7 +125,7 @@ KINDS = {
     "hopper": {"make": hopper},
     "piston": {"make": piston},
 }
-"""Kind of scene -> arguments of the function that makes it. The function is the entry "make", or else `piles.pile_scene`."""
+"""Kind of scene -> arguments of the function that makes it: of the entry "make", or else of `piles.pile_scene`."""
 
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
 """The setting whose runs stand for the limit of small time steps, and against which errors are measured.
