@@ -285,3 +285,17 @@ def test_as_many_references_are_given_back_as_are_taken():
     del one, kept, _
     assert [one.tolist() for one in arrays] == [[2.0, 1.0, 2.0, 1.0, 1.0], [1.0, 2.0, 1.0, 2.0, 1.0]]
     assert [sys.getrefcount(one) for one in arrays] == before
+
+
+def test_a_function_counts_references_although_its_first_caller_counts_none():
+    @njit
+    def numbers(n):
+        return np.arange(n)
+
+    @njit(_nrt=False)
+    def first_caller(n):
+        return numbers(n).shape[0]
+
+    assert first_caller(3) == 3
+    kept = [numbers(1000) for _ in range(200)]
+    assert all((array == np.arange(1000)).all() for array in kept)
