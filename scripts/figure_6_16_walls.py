@@ -1,4 +1,4 @@
-"""python scripts/figure_6_16_walls.py: computing times of presets in scenes with shaped walls, here and elsewhere."""
+"""python scripts/figure_6_16_walls.py: times of presets and of other engines in scenes with shaped walls."""
 
 from pathlib import Path
 

@@ -1,7 +1,8 @@
-"""Inference with trained networks: `load_model` and `LearnedModel.predict`, which the starts of `cnn.start` call.
+"""Inference with trained networks: `load_model` and `LearnedModel.predict`.
 
-The far-field network runs in Numba (`cnn.convolution`) with the weights of its file. Keras and TensorFlow are imported
-only for networks on images, and for the attribute `LearnedModel.network`.
+`cnn.start` calls them to predict the impulses from which the solver begins. The far-field network runs in Numba
+(`cnn.convolution`) with the weights of its file. Keras and TensorFlow are imported only for the other networks, and for
+the attribute `LearnedModel.network`.
 """
 
 from __future__ import annotations

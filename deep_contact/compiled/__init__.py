@@ -117,7 +117,8 @@ def njit(function=None, *, cache=False, **options):
     # the process compiled before. So a function without flags says so. It does the same with `_nrt`, whether references
     # to arrays are counted: a function that returns an array has to count them, whoever calls it first.
     # Nothing takes these functions by a pointer of C, whose wrappers took a twentieth of the time of compiling.
-    options = {"fastmath": False, "_nrt": True} | options | {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True}
+    fixed = {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True}
+    options = {"fastmath": False, "_nrt": True} | options | fixed
     dispatcher = _Dispatcher(function, targetoptions=options)
     if cache:
         dispatcher._cache = CodeCache(function, _announcement.make)

@@ -206,9 +206,9 @@ def digest_of_runs(runs: dict) -> str:
 
 @cache
 def commands() -> dict[str, list]:
-    """Return the results files that can be old: name in data/reference -> [script, arguments].
+    """Return the commands that make results files anew: name of the file in data/reference -> [script, arguments].
 
-    All other files there document something that was done once.
+    Only these files can become old. All other files there document something that was done once.
     """
     folder = ROOT / "scripts"
     found = {name: [folder / script, *options] for name, (script, *options) in STUDIES.items()}

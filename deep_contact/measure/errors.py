@@ -267,8 +267,8 @@ def interval(statistic: Callable[[np.ndarray], np.ndarray], count: int, *, resam
 def with_reach(error: Sequence[float]) -> tuple[float, np.ndarray]:
     """Return the value of an error, and its distances to the lower and the upper end of its interval, (2, 1).
 
-    error: (value, low, high) of `intervals`. A bootstrap interval by percentiles may not contain the value. The
-    distance to the end on that side is then 0.
+    error: (value, low, high) of `intervals`. A bootstrap interval by percentiles does not always contain the value. If
+    the value lies beyond an end, the distance to this end is 0.
     """
     value, low, high = error
     return value, np.maximum([[value - low], [high - value]], 0.0)

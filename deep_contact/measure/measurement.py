@@ -47,7 +47,7 @@ APART = 0.01
 """Root mean square distance of the circles of two copies, in mean radii, above which the copies count as apart."""
 
 TIMED = 2
-"""Number of seeds whose runs are timed, each in one call."""
+"""Number of seeds whose runs are timed. A timed run is one call, without observations between its steps."""
 
 HALF = "half step"
 """Name of the runs with half the reference's step."""

@@ -371,9 +371,9 @@ def fill_rows(tiles, first, last):
         w_a, w_b = load_rows(v, body, 2 * t)[INVERSE_MASS], load_rows(v, body, 2 * t + 1)[INVERSE_MASS]
         d_x, d_y = b_x - a_x, b_y - a_y
         distance, coincide = root(times(d_x, d_x) + times(d_y, d_y)), times(tiny, r_a + r_b)
-        # In the test for coinciding centres, only lanes whose body b has an inverse mass count. This leaves out unused
-        # lanes, in which the idle body touches itself.
-        nearest = least(nearest, where_less(none, w_b, distance - coincide, one))
+        # In the test for coinciding centres, only lanes whose body b has a mass count. This leaves out walls. It also
+        # leaves out unused lanes, in which the idle body touches itself.
+        nearest = least(nearest, where_less(none, m_b, distance - coincide, one))
         written_x, written_y = load(data, row + N_X), load(data, row + N_Y)
         n_x = where_less(distance, coincide, written_x, d_x / distance)
         n_y = where_less(distance, coincide, written_y, d_y / distance)

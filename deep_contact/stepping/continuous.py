@@ -348,9 +348,9 @@ def end_rate(way, j, time, together, paths, actuation, shifts):
 
 @njit(inline="always")
 def hold(i, normal, sign, by, paths):
-    """Mark circle i as held by a body, in place.
+    """Write into `paths` that a body holds circle i. The body lies in the direction sign · normal from the circle.
 
-    The body lies in the direction of the normal times the sign. by: `CARRIED`, `FIRM` or `FREE` (`hold_of`).
+    by: how it holds the circle, `CARRIED`, `FIRM` or `FREE` (`hold_of`).
     """
     paths.held[i] = max(paths.held[i], by)
     paths.block[i, 0], paths.block[i, 1] = sign * normal[0], sign * normal[1]

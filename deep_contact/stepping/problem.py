@@ -55,9 +55,10 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def build_rows(step, contacts, solver_bodies, actuation):
-    """Fill the solver bodies of a step, after its impacts, and return the step's rows.
+    """Return the rows of a step, and write the velocities after Δt of gravity and external forces into `solver_bodies`.
 
-    step: `StepInput`. contacts: `Contacts`. solver_bodies: (N, 4), filled in place. actuation: `Actuation` of the step,
+    The step's impacts have been applied before. step: `StepInput`. contacts: `Contacts`. solver_bodies: (N, 4), columns
+    `V_X` to `INVERSE_MASS` of `rows`. actuation: `Actuation` of the step,
     or None.
     """
     integrate_velocities(step.bodies, step.gravity, step.dt, solver_bodies, actuation)

@@ -61,7 +61,7 @@ REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
 """Solver of the reference for velocity errors. It continues from a solution, so that it favours none of the starts."""
 
 TRANSFERS = {"sph": "thesis", "sph spline": "spline"}
-"""Start -> transfer of `Sph`. The image is read back as Algorithm 4 prints it, or as the authors programmed it."""
+"""Start -> transfer of `Sph`. "sph" reads the image back as Algorithm 4 is printed, "sph spline" as it was coded."""
 
 READ = {"sph": "bilinear (printed)", "sph spline": "spline (authors' code)"}
 """Start -> the words of claims for the way in which the start's image is read back."""
@@ -119,7 +119,10 @@ def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> dict[str, np.nd
 
 
 def _seconds_of(start, state: State, solver) -> tuple[float, float]:
-    """Return the computing times of a start's impulses and of a solve from them, s: each the least of three times."""
+    """Return the time in which a start computes its impulses, and the time of a solve from them, s.
+
+    Each is the least of three measurements.
+    """
     impulse = start(state, solver)
     both = {"start": lambda: start(state, solver), "solve": lambda: solve_contacts(state, solver=solver, start=impulse)}
     took = interleaved(both, repeats=3)
@@ -138,8 +141,8 @@ def paired(
 
     states: solved states. starts: name -> start, as `simulate` takes it; or names of starts alone. sweeps: number of
     sweeps of each solve. velocity_sweeps: numbers of sweeps after which the relative velocity errors are measured,
-    against the solution of `swept_on`. seconds: whether computing times are measured, during which no other program
-    should run.
+    against the solution of `swept_on`. seconds: whether computing times are measured. No other program should
+    run meanwhile.
 
     With `velocity_sweeps`, a result also has "velocity", the errors, (states, len(velocity_sweeps)). They are not
     finite if no impulses were needed. With `seconds`, it has "seconds", (states, 2), the time of the start and of the

@@ -106,10 +106,10 @@ def band(ratios: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: i
 
 
 def ranges(sweeps: Sequence[int], where: np.ndarray) -> str:
-    """Return the ranges of sweeps in which `where` is true as a text, "1 to 180, 240 to 3000", or "" for none.
+    """Return a text with the ranges of sweeps in which `where` is true, such as "1 to 180, 240 to 3000", or "".
 
-    sweeps: numbers of sweeps, ascending, (k,). where: flags, (k,). Ranges shorter than `LEAST` of the logarithmic axis
-    from the first to the last of `sweeps` are left out.
+    sweeps: numbers of sweeps, ascending, (k,). where: flags, (k,). On the logarithmic axis from the first to the last
+    of `sweeps`, ranges shorter than the share `LEAST` of the axis are left out.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], where.astype(int), [0]])))
     pairs = ((sweeps[a], sweeps[b - 1]) for a, b in zip(edges[::2], edges[1::2]))

@@ -183,3 +183,13 @@ def test_a_new_plan_is_none_even_of_no_circles():
     nothing = no_contacts()
     assert not batches.is_plan_of(batches.make_plan(0, 0), 0, nothing, nothing)
     assert batches.is_plan_of(batches.plan_batches(*nothing[:2], 0, batches.make_plan(0, 0)), 0, nothing, nothing)
+
+
+@pytest.mark.parametrize("fixed", [[False, True], [True, False], [False, False]])
+def test_circles_with_one_centre_part_as_with_pgs_also_from_a_fixed_one(fixed):
+    world = dc.World(box=(0.0, 0.0, 20.0, 20.0), gravity=(0.0, 0.0))
+    state = dc.State(name="one centre", world=world, bodies=dc.make_bodies([[5.0, 5.0]] * 2, radius=1.0, fixed=fixed))
+    with pytest.warns(UserWarning, match="nearly coincide"):
+        parted, known = (dc.simulate(state, steps=5, solver=one).state for one in (dc.BatchedPGS(), dc.PGS()))
+    assert abs(known.bodies.position[1, 0] - known.bodies.position[0, 0]) > 1.9
+    np.testing.assert_allclose(parted.bodies.position, known.bodies.position, atol=1e-9)

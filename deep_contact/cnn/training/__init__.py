@@ -1,8 +1,8 @@
-"""Training of a network (section 5.3): the function `train`, and its settings, `TrainingConfig`.
+"""Training of a network (section 5.3 of the thesis): the function `train`, and its settings, `TrainingConfig`.
 
-`config` has the settings. `run` has `train`. `network` has the base class of training runs, which writes checkpoints
-and the history, and the training of networks on images. `far_field_run` trains the far-field network through the
-solver. `curve` draws the history. `run`, `network` and `far_field_run` import TensorFlow.
+`config` has the settings. `run` has `train`. `network` has the base class of training runs, and its subclass for
+networks on images. The base class writes checkpoints and the history. `far_field_run` trains the far-field network
+through the solver. `curve` draws the history. `run`, `network` and `far_field_run` import TensorFlow.
 """
 
 from __future__ import annotations
