@@ -297,6 +297,7 @@ def check_driven(seed, folder, **how):
         assert again == whole.state
 
 
+@pytest.mark.filterwarnings("ignore:.*passes over circle")
 @pytest.mark.parametrize("seed", range(12))
 def test_random_scenes_with_walls_fixed_circles_and_pushes(seed, tmp_path):
     check_driven(seed, tmp_path, solver=PGS)

@@ -57,7 +57,7 @@ def test_a_packing_settles_for_51_steps_or_until_it_rests(kind, speeds, steps, m
     done, left = [], iter(speeds)
     run = lambda state, *, steps, solver: done.append(steps) or SimpleNamespace(state=state)  # noqa: E731
     monkeypatch.setattr(determinacy, "simulate", run)
-    monkeypatch.setattr(determinacy.piles, "rms_speed", lambda state: next(left))
+    monkeypatch.setattr(determinacy.piles, "rms_speed_of_state", lambda state: next(left))
     determinacy.packed(kind, 5, 0.5, 0.8, 1)
     assert done == steps
 

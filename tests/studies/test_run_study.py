@@ -160,7 +160,7 @@ def stand_in(make, kind, n_bodies, seed, setting, **_):
 def without_runs(monkeypatch):
     """Studies whose runs cost nothing."""
     monkeypatch.setattr(runs, "observed", stand_in)
-    monkeypatch.setattr(runs, "timed", lambda make, **_: 7.0)
+    monkeypatch.setattr(runs, "time_run", lambda make, **_: 7.0)
 
 
 def test_fewer_seeds_than_the_reference_meet_its_runs_of_the_same_scenes(tmp_path, without_runs):
