@@ -354,6 +354,7 @@ def hold(i, normal, sign, by, paths):
     """
     paths.held[i] = max(paths.held[i], by)
     paths.block[i, 0], paths.block[i, 1] = sign * normal[0], sign * normal[1]
+    paths.carrier[i] = sign * (paths.rate[i, 0] * normal[0] + paths.rate[i, 1] * normal[1])
 
 
 @njit(inline="always")
@@ -380,11 +381,14 @@ def mobility(i, d_x, d_y, paths, result):
     """Write (w, x, y) into `result`: how circle i yields to a push along the unit vector d = (d_x, d_y).
 
     A push s, kg m, changes the rate of the circle by s (x, y) / m, m, and its rate along d by s w. A held circle slides
-    along the body that holds it. If d points almost straight at that body (`BLOCKED`), w is 0.
+    along the body that holds it, unless it moves away from that body. If d points almost straight at the body
+    (`BLOCKED`), w is 0.
     """
     w, x, y = paths.inverse[i], d_x, d_y
     along = d_x * paths.block[i, 0] + d_y * paths.block[i, 1]
-    if along > 0.0 and paths.held[i] != FREE:
+    ahead = paths.rate[i, 0] * paths.block[i, 0] + paths.rate[i, 1] * paths.block[i, 1]
+    leaves = ahead < paths.carrier[i] - TOGETHER * paths.step.bodies.radius[i]
+    if along > 0.0 and paths.held[i] != FREE and not leaves:
         x, y = d_x - along * paths.block[i, 0], d_y - along * paths.block[i, 1]
         w = w * (1.0 - along * along) if along < BLOCKED else 0.0
     result[0], result[1], result[2] = w, x, y

@@ -33,6 +33,7 @@ class Paths(NamedTuple):
     | inverse  | inverse mass                                                        | (n,)   | 1/kg |
     | held     | `FREE`, `CARRIED` or `FIRM`                                         | (n,)   | –    |
     | block    | unit vector to the body that the circle has met last, if not `FREE` | (n, 2) | –    |
+    | carrier  | rate of that body along `block`                                      | (n,)   | m    |
     | touches  | number of times that the path has changed                           | (n,)   | –    |
     | searches | whether to search touches with walls and segments; with circles     | (n, 2) | –    |
     """
@@ -46,6 +47,7 @@ class Paths(NamedTuple):
     inverse: np.ndarray
     held: np.ndarray
     block: np.ndarray
+    carrier: np.ndarray
     touches: np.ndarray
     searches: np.ndarray
 
@@ -60,7 +62,7 @@ def make_paths(step, segments, start):
     rate = displaced(bodies.position, start, -1.0)
     return Paths(
         step, segments, start, start.copy(), np.zeros(n), rate, 1.0 / bodies.mass, np.zeros(n, np.int64),
-        np.zeros((n, 2)), np.zeros(n, np.int64), np.zeros((n, 2), np.bool_),
+        np.zeros((n, 2)), np.zeros(n), np.zeros(n, np.int64), np.zeros((n, 2), np.bool_),
     )  # fmt: skip
 
 
