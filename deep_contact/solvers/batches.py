@@ -371,9 +371,10 @@ def fill_rows(tiles, first, last):
         w_a, w_b = load_rows(v, body, 2 * t)[INVERSE_MASS], load_rows(v, body, 2 * t + 1)[INVERSE_MASS]
         d_x, d_y = b_x - a_x, b_y - a_y
         distance, coincide = root(times(d_x, d_x) + times(d_y, d_y)), times(tiny, r_a + r_b)
-        # In the test for coinciding centres, only lanes whose body b has a mass count. This leaves out walls. It also
-        # leaves out unused lanes, in which the idle body touches itself.
-        nearest = least(nearest, where_less(none, m_b, distance - coincide, one))
+        both = w_a + w_b
+        # In the test for coinciding centres, only lanes count whose body b has a mass and whose bodies can move. This
+        # leaves out walls, and unused lanes, in which the idle body touches itself.
+        nearest = least(nearest, where_less(none, times(both, m_b), distance - coincide, one))
         written_x, written_y = load(data, row + N_X), load(data, row + N_Y)
         n_x = where_less(distance, coincide, written_x, d_x / distance)
         n_y = where_less(distance, coincide, written_y, d_y / distance)
@@ -381,7 +382,6 @@ def fill_rows(tiles, first, last):
         separation = times(half, distance - r_a - r_b)
         arm_a = one + separation / r_a
         arm_b = where_less(none, m_b, one + separation / r_b, load(data, row + ARM_B))
-        both = w_a + w_b
         turning = times(times(arm_a, arm_a), w_a) + times(times(arm_b, arm_b), w_b)
         store(data, row + N_X, where_less(none, m_b, n_x, written_x))
         store(data, row + N_Y, where_less(none, m_b, n_y, written_y))
