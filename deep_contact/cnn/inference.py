@@ -84,7 +84,7 @@ class LearnedModel:
     _compiled: dict = field(default_factory=dict, init=False, compare=False)
 
     def __post_init__(self):
-        is_stored, has_shape = isinstance(self.source, StoredNetwork), hasattr(self.source, "input_shape")
+        is_stored, has_shape = isinstance(self.source, StoredNetwork), _has_input_shape(self.source)
         if not (is_stored or has_shape) and hasattr(self.source, "layers"):
             hint = "a functional model has one, and a Sequential that begins with keras.Input"
             raise ValueError(f"source: expected a keras.Model with an input_shape, got {brief(self.source)}; {hint}")
@@ -277,6 +277,14 @@ def ends(spec: ImageSpec | FarFieldSpec, box=None) -> dict[str, str]:
     if box is not None:
         sides = f"the nodes of a box of {box[0]:g} m × {box[1]:g} m"
     return {"takes": f"float32 images of {len(spec.channels)} channels, {sides}", "gives": gives}
+
+
+def _has_input_shape(network) -> bool:
+    """Return whether a network knows the shape of its input; a Sequential of Keras 3.4 raises where it does not."""
+    try:
+        return hasattr(network, "input_shape")
+    except ValueError:
+        return False
 
 
 def _cut(impulses, state: State, project: bool) -> tuple[np.ndarray, np.ndarray]:

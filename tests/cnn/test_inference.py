@@ -337,6 +337,11 @@ def plain_of_two():
     return keras.Model(images, plain()(keras.layers.add(images)), name="mine")
 
 
+def flat(network):
+    """The network with its output flattened, "mine"."""
+    return keras.Model(network.inputs, keras.layers.Flatten()(network.outputs[0]), name="mine")
+
+
 WRONG_SHAPES = {
     "four channels": (
         lambda: plain(takes=(None, None, 4)),
@@ -359,7 +364,7 @@ WRONG_SHAPES = {
         r"targets: expected an output of shape \(None, 61, 61, 2\) for .*, got \(None, 31, 31, 2\)",
     ),
     "flat, too short": (
-        lambda: keras.Sequential([plain(takes=(61, 61, 5), gives=1), keras.layers.Flatten()], name="mine"),
+        lambda: flat(plain(takes=(61, 61, 5), gives=1)),
         r"targets: expected an output of shape \(None, 61, 61, 2\) for .*, got \(None, 3721\)",
     ),
 }
@@ -393,7 +398,7 @@ def test_a_network_of_one_size_names_itself_where_an_image_has_another(tmp_path)
 
 
 def test_a_flat_output_of_one_size_fits():
-    made = keras.Sequential([plain(takes=(61, 61, 5)), keras.layers.Flatten()])
+    made = flat(plain(takes=(61, 61, 5)))
     assert LearnedModel(source=made, spec=SPEC).run(np.zeros((61, 61, 5))).shape == (61, 61, 2)
 
 
