@@ -29,13 +29,17 @@ TASKS = {
 """Task -> the public names that serve it, each once. Modules among them have pages of their own."""
 
 SYNONYMS = {
+    "materials.md": (
+        "two materials, per-body friction, friction matrix, contact properties, collision filter, collision group, layer, "
+        "mask, category, trigger, rolling resistance, rolling friction, angle of repose"
+    ),
     "moving.md": "moving wall, piston, conveyor, belt, kinematic, paddle, roller, shear cell, moving boundary, motor",
     "recipes.md": "callback, hook, video, movie, animation, player, csv, observer, checkpoint, stop condition",
     "forces.md": "force, energy, pressure, load cell, contact force, dissipation, momentum",
     "api/make_a_scene.md": "gravity, friction, density, mass, coefficient of restitution, radius, polydisperse",
     "absent.md": (
         "GPU, CUDA, periodic, 3d, sphere, polygon, capsule, spring, joint, hinge, distance constraint, cohesion, fluid, "
-        "differentiable, gradient, soft body, rolling resistance, rope"
+        "differentiable, gradient, soft body, rope"
     ),
     "gallery/other_programs.md": "vtk, ParaView, OVITO, xyz, pandas, polars, dataframe, export, LAMMPS, ASE, vtu, pvd",
 }

@@ -325,8 +325,9 @@ def cheapest(candidates: list[dict], tolerances: Mapping[str, float]) -> dict:
 def _case(numbers: SceneNumbers, stiff: Stiffness | None) -> tuple:
     """Return the arguments of `_candidates` for a scene."""
     substeps = {dt: parts_for(numbers, dt) for dt in _time_steps()}
-    solver = stiff and stiff.solver(substeps[TIME_STEP])
-    return numbers.count, tuple(kinds_of(numbers)), tuple(substeps.items()), solver
+    rolls = numbers.rolling > 0.0
+    solver = stiff and stiff.solver(substeps[TIME_STEP], rolls=rolls)
+    return numbers.count, tuple(kinds_of(numbers)), tuple(substeps.items()), solver, rolls
 
 
 def _time_steps() -> list[float]:
@@ -334,7 +335,7 @@ def _time_steps() -> list[float]:
     return sorted({setting["dt"] for setting in installed()["settings"]} | {TIME_STEP})
 
 
-def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list[dict]:
+def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff, rolls: bool) -> list[dict]:
     """Return every setting of the study for n circles of these kinds: its solver, start, cost and errors.
 
     A candidate has "solver", "start", "us" (μs for a step of the scene's Δt), "errors" and "dt" (time step of the
@@ -344,7 +345,7 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list
     substeps: pairs of a time step of the study, s, and the number of substeps into which it divides the scene's Δt.
     stiff: None, or the solver for a scene that a few sweeps cannot solve (`stiffness`), which is then the only
     candidate. Its cost is an upper bound: all its sweeps at the lowest cost of a sweep in the study. Its errors are
-    those of the study's best setting.
+    those of the study's best setting. rolls: whether solvers without rolling resistance are left out.
     """
     candidates, parts = [], dict(substeps)
     kinds, low, high = _near(n, kinds)
@@ -361,6 +362,8 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list
         k, options = parts[setting["dt"]], dict(setting["options"])
         us, start = k * _us_at(n, times) * setting["dt"] / TIME_STEP, options.pop("start", "builtin")
         solver = solver_from(options.pop("method"), options)
+        if rolls and not entry_of(solver).rolls:
+            continue
         solver = replace(solver, substeps=k, most_substeps=solver.most_substeps and k * solver.most_substeps)
         candidates.append({"solver": solver, "start": start, "us": us, "errors": errors, "dt": setting["dt"]})
     if stiff is None:
@@ -401,13 +404,13 @@ def kinds_of(numbers: SceneNumbers) -> list[str]:
     is_pile = not kinds
     if numbers.friction < FRICTION:
         kinds.append("no friction")
-    if 0 < numbers.restitution < 0.8:
+    if 0 < numbers.most_restitution and numbers.restitution < 0.8:
         kinds.append("elastic 0.3")
-    if numbers.restitution > 0.3:
+    if numbers.most_restitution > 0.3:
         kinds.append("elastic 0.8")
     if is_pile and numbers.radius_ratio > 1.05:
         return [*kinds, "mixed radii"]
-    return [*kinds, "plain"] if is_pile and numbers.friction > 0 and numbers.restitution < 0.3 else kinds
+    return [*kinds, "plain"] if is_pile and numbers.most_friction > 0 and numbers.restitution < 0.3 else kinds
 
 
 def _of_densities(numbers: SceneNumbers) -> list[str]:
@@ -459,19 +462,29 @@ def outside(numbers: SceneNumbers, stiff: Stiffness | None) -> list[str]:
     fastest = FASTEST * math.sqrt(numbers.gravity * numbers.radius)
     measured = {kind: installed()["kinds"].get(kind, [math.inf]) for kind in kinds_of(numbers)}
     missing = ", ".join(kind for kind, of in measured.items() if not min(of) / 3 <= count <= 3 * max(of))
+    of_friction = numbers.most_friction > 0.5 or numbers.friction < numbers.most_friction
+    of_restitution = numbers.most_restitution > 0.8 or numbers.restitution < numbers.most_restitution
+    rubs = _range(numbers.friction, numbers.most_friction)
+    bounces = _range(numbers.restitution, numbers.most_restitution)
     price = "the cost is that of all sweeps, of which a scene at rest needs few, and the errors are those of the"
     sentences = {
         f"{count:,} circles; it has {min(sizes):,} to {max(sizes):,}": not min(sizes) / 3 <= count <= 3 * max(sizes),
         f"{count:,} circles of the kind {missing}; it has none of about this size": missing,
         f"radii that differ {numbers.radius_ratio:.3g} times; it has up to 3": numbers.radius_ratio > 3.001,
         f"densities that differ {numbers.density_ratio:.3g} times; it has up to 100": numbers.density_ratio > 100.1,
-        f"friction {numbers.friction:g}; it has 0 and 0.5": numbers.friction > 0.5,
-        f"restitution {numbers.restitution:g}; it has 0, 0.3 and 0.8": numbers.restitution > 0.8,
+        f"friction {rubs}; it has 0 and 0.5": of_friction,
+        f"restitution {bounces}; it has 0, 0.3 and 0.8": of_restitution,
+        f"rolling resistance of up to {numbers.rolling:g} m; it has none": numbers.rolling > 0.0,
         f"{stiff and stiff.why}: solved to a tolerance in substeps; {price} study's best setting": stiff,
         **dict.fromkeys(_too_long(numbers, max(_time_steps())), True),
         f"a speed of {speed:.3g} m/s; it has up to {fastest:.3g}": 0 < fastest < speed,
     }
     return [sentence for sentence, is_so in sentences.items() if is_so]
+
+
+def _range(low: float, high: float) -> str:
+    """Return the values of a property as text: one number, or the smallest and the largest."""
+    return f"{low:g}" if low == high else f"from {low:g} to {high:g} between pairs"
 
 
 def _too_long(numbers: SceneNumbers, dt: float) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.state.arrays import Bodies
+from deep_contact.state.materials import in_scene
 from deep_contact.state.scales import mean
 from deep_contact.state.state import State
 
@@ -21,8 +22,9 @@ class SceneNumbers(NamedTuple):
     | count         | number of circles                                                            |      |
     | dt            | time step                                                                    | s    |
     | gravity       | magnitude of gravity                                                         | m/s² |
-    | friction      | μ                                                                            |      |
-    | restitution   | e                                                                            |      |
+    | friction      | smallest μ of all pairs that can touch; `most_friction`: largest             |      |
+    | restitution   | smallest e of these pairs; `most_restitution`: largest                       |      |
+    | rolling       | largest ρ of these pairs                                                     | m    |
     | is_dragged    | whether the surface of any segment moves                                     |      |
     | still         | number of segments whose ends do not move                                    |      |
     | moving        | number of segments whose ends move                                           |      |
@@ -42,7 +44,10 @@ class SceneNumbers(NamedTuple):
     dt: float
     gravity: float
     friction: float
+    most_friction: float
     restitution: float
+    most_restitution: float
+    rolling: float
     is_dragged: bool
     still: int
     moving: int
@@ -74,11 +79,14 @@ def scene_numbers(state: State) -> SceneNumbers:
     up = (-g_x / gravity, -g_y / gravity) if gravity > 0.0 else (0.0, 0.0)
     speeds = [abs(speed) for speed in world.surface_speeds]
     moving = sum(map(any, world.segment_velocities))
+    friction, restitution = (in_scene(state, value) for value in (world.friction, world.restitution))
+    rolling = in_scene(state, world.rolling_friction).max()
+    pairs = friction.min(), friction.max(), restitution.min(), restitution.max(), rolling
     *measured, fastest, squares, height, width = _measured(free.position, free.velocity, free.mass, free.radius, up)
     fastest = max(fastest, *driven, 0.0)
     return SceneNumbers(
-        bodies.count, state.dt, gravity, world.friction, world.restitution, any(speeds), len(world.segments) - moving,
-        moving, mean(bodies.radius), *measured, max(fastest, *speeds, 0.0) if world.friction > 0 else fastest,
+        bodies.count, state.dt, gravity, *map(float, pairs), any(speeds), len(world.segments) - moving,
+        moving, mean(bodies.radius), *measured, max(fastest, *speeds, 0.0) if friction.any() else fastest,
         squares, height, width, high - low if abs(g_x) > abs(g_y) else right - left,
     )  # fmt: skip
 

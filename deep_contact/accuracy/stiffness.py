@@ -70,16 +70,17 @@ class Stiffness(NamedTuple):
     carried: float | None
     heap: int = 1
 
-    def solver(self, substeps: int = 1) -> PGS:
+    def solver(self, substeps: int = 1, *, rolls: bool = False) -> PGS | NNCG:
         """Return the solver for the scene.
 
-        substeps: number of substeps that the scene's Δt needs in any case (`presets.parts_for`).
+        substeps: number of substeps that the scene's Δt needs in any case (`presets.parts_for`). rolls: whether the
+        scene has rolling resistance, which NNCG has not.
         """
         if self.carried is None:
             return PGS(sweeps=8, tolerance=None, substeps=substeps * self.heap)
         substeps = max(SUBSTEPS, substeps)
         tolerance = SHARE * self.carried / substeps if self.carried > 0.0 else FOLLOWS_SCENE
-        return NNCG(sweeps=SWEEPS, tolerance=tolerance, substeps=substeps)
+        return (PGS if rolls else NNCG)(sweeps=SWEEPS, tolerance=tolerance, substeps=substeps)
 
 
 def stiffness(scene: State, numbers: SceneNumbers | None = None) -> Stiffness | None:

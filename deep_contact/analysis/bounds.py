@@ -20,6 +20,7 @@ from deep_contact import parallel
 from deep_contact.analysis.exact import solve_exactly
 from deep_contact.analysis.lcp import contact_problem
 from deep_contact.state.equality import by_value
+from deep_contact.state.materials import at_contacts
 from deep_contact.state.state import State, StateWithContacts
 from deep_contact.state.validation import expect, integer
 from deep_contact.stepping import metrics
@@ -84,24 +85,25 @@ def force_bounds(
     _highspy()  # raises an error at once if the package is missing
     state = ready(state)
     number_of_parts = parallel.workers(jobs) if isinstance(jobs, Executor) else integer("jobs", jobs, 1)
-    m, mu, c = state.contacts.count, state.world.friction, state.contacts
+    m, c = state.contacts.count, state.contacts
+    mu = np.full(m, at_contacts(state, state.world.friction))
     wanted = [integer("contacts", i, most=m - 1) for i in (range(m) if contacts is None else contacts)]
     exact = solve_exactly(state, *((c.normal_impulse, c.tangent_impulse) if state.solved else ()), residual=EXACT)
     expect(exact.converged, f"state: expected contacts solved to {EXACT:g} m/s, got a residual of {exact.residual:.3g}")
     impulse = np.column_stack([exact.solution.normal_impulses, exact.solution.tangent_impulses])
     u_n, u_t = metrics.row_velocities(state, exact.solution.velocities, exact.solution.angular_velocities)
     # The cone of a contact is the set of sums of its two edges, unit vectors along (1, ±μ), with factors >= 0. These
-    # factors are the unknowns of the programs.
-    sides = np.array([1.0, -1.0] if mu > 0 else [0.0])
-    side, of = np.nonzero((u_n <= MOVING) & (sides[:, None] * u_t <= MOVING))
+    # factors are the unknowns of the programs. With μ = 0 there is one edge.
+    sides = np.array([[1.0], [-1.0]])
+    side, of = np.nonzero((u_n <= MOVING) & ((sides * u_t <= MOVING) | (mu == 0)) & ((sides > 0) | (mu > 0)))
     places = np.concatenate([2 * of, 2 * of + 1]), np.tile(np.arange(of.size), 2)
-    length = np.hypot(1.0, mu)
+    length = np.hypot(1.0, mu[of])
     edges = sparse.csc_array(
-        (np.concatenate([np.full(of.size, 1 / length), sides[side] * mu / length]), places), shape=(2 * m, of.size)
+        (np.concatenate([1 / length, sides[side, 0] * mu[of] / length]), places), shape=(2 * m, of.size)
     )
     impulse[u_n > MOVING] = 0.0  # an inexact solution may have small impulses at separating contacts
     slides = np.abs(u_t) > MOVING
-    impulse[slides, 1] = -np.sign(u_t[slides]) * mu * impulse[slides, 0]
+    impulse[slides, 1] = -np.sign(u_t[slides]) * mu[slides] * impulse[slides, 0]
     scale = float(impulse[:, 0].mean()) if impulse[:, 0].any() else 1.0
     lengths = np.column_stack([np.ones((state.bodies.count, 2)), 1 / state.bodies.radius]).ravel()
     sums = sparse.diags_array(lengths) @ sparse.csc_array(contact_problem(state).jacobian).T

@@ -38,6 +38,7 @@ from deep_contact.starts.support import supported
 from deep_contact.state.arrays import LARGEST_START
 from deep_contact.state.checks import check_limits, check_state
 from deep_contact.state.equality import by_value
+from deep_contact.state.materials import at_contacts, largest
 from deep_contact.state.state import State
 from deep_contact.state.validation import expect, floats, integer, number
 from deep_contact.stepping import metrics
@@ -137,6 +138,8 @@ def solve_exactly(
         if state.contacts is None:
             raise ValueError("state.contacts: expected the contacts to have been found, got None (see dc.step)")
         state = check_limits(check_state(state))
+        smooth = largest(state.world.rolling_friction) == 0.0
+        expect(smooth, "rolling_friction: expected 0 for exact solutions, which have no rolling resistance")
         problem = check_problem(contact_problem(state))
     else:
         raise ValueError(f"state: expected a State or a ContactProblem, got {state!r}")
@@ -146,7 +149,7 @@ def solve_exactly(
         impulse = _start_of_state(state) if isinstance(state, State) else _start_of_problem(problem)
     impulse, factorizations, pivots = _solved(problem, impulse, residual, most_pivots)
     if isinstance(state, State):
-        solution = solve(state, PGS(sweeps=0), *projected(impulse[::2], impulse[1::2], state.world.friction))
+        solution = solve(state, PGS(sweeps=0), *projected(impulse[::2], impulse[1::2], problem.friction))
         least = metrics.residual(state, solution)
     else:
         velocity = np.empty((0, 3)) if problem.jacobian is None else problem.velocities(impulse).reshape(-1, 3)
@@ -224,7 +227,8 @@ def _start_of_state(state: State) -> np.ndarray:
         held = supported(state, step_problem(state))
     starts = [solve(state, solver, *held) for solver in (PGS(sweeps=0), FIRST_SWEEPS)]
     nearest = min(starts, key=lambda start: np.nan_to_num(metrics.residual(state, start), nan=np.inf))
-    return np.column_stack(projected(nearest.normal_impulses, nearest.tangent_impulses, state.world.friction)).ravel()
+    friction = at_contacts(state, state.world.friction)
+    return np.column_stack(projected(nearest.normal_impulses, nearest.tangent_impulses, friction)).ravel()
 
 
 def _start_of(problem: ContactProblem, normal, tangent) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from deep_contact.state.equality import by_value
+from deep_contact.state.materials import at_contacts
 from deep_contact.state.state import State
 from deep_contact.state.validation import expect, floats, refuse_where
 from deep_contact.stepping.metrics import free_velocity
@@ -123,4 +124,5 @@ def contact_problem(state: State) -> ContactProblem:
     b += ground_velocities(contacts, state.world, n).T.ravel()
     A = sparse.csr_array(jacobian @ sparse.diags_array(inverse_mass) @ jacobian.T)
     A.sort_indices()
-    return ContactProblem(A, b, jacobian, inverse_mass, free, np.full(m, state.world.friction))
+    friction = np.full(m, at_contacts(state, state.world.friction))
+    return ContactProblem(A, b, jacobian, inverse_mass, free, friction)

@@ -53,6 +53,7 @@ from deep_contact.stepping.rows import (
     V_X,
     V_Y,
     apply_impulses,
+    friction_of,
     relative_velocity,
 )
 
@@ -168,11 +169,9 @@ def description_of(
     state = with_contacts(state) if problem is None else state
     if state.contacts.count == 0:
         raise ValueError("state.contacts: expected at least one contact, got 0")
-    rows, free, *_ = step_problem(state) if problem is None else problem
-    world = state.world
-    measured = _measure(
-        state.bodies, state.contacts, rows, free, world.box, world.friction, symmetry >= 4, symmetry % 4
-    )
+    rows, free, friction, _ = step_problem(state) if problem is None else problem
+    box = state.world.box
+    measured = _measure(state.bodies, state.contacts, rows, free, box, friction, symmetry >= 4, symmetry % 4)
     # NumPy's arsinh is faster than that of compiled code in `_measure`, because it is vectorised.
     np.arcsinh(measured.contact_sizes, out=measured.contact_sizes)
     np.arcsinh(measured.body_sizes, out=measured.body_sizes)
@@ -263,8 +262,8 @@ def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
     """Return the `_Measured` of a state with contacts.
 
     rows: the rows of the contacts, with Builtin's impulses. free: the circles' velocities after Δt of gravity without
-    impulses, as `step_problem` returns them. box: (x_min, y_min, x_max, y_max), m. friction: Coulomb's μ. mirrored:
-    whether x is mirrored. turns: number of quarter turns after the mirroring.
+    impulses, as `step_problem` returns them. box: (x_min, y_min, x_max, y_max), m. friction: as in `StepInput`.
+    mirrored: whether x is mirrored. turns: number of quarter turns after the mirroring.
     """
     n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
     after = free.copy()
@@ -277,7 +276,7 @@ def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
         k_n, k_t = rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS]
         p_n, p_t = rows.impulse[i, NORMAL], rows.impulse[i, TANGENT]
         v_n, v_t = relative_velocity(rows, after, i)
-        largest = friction * p_n
+        largest = friction_of(friction, rows.data, i) * p_n
         residual[i, 0] = max(-v_n, -p_n / k_n)
         residual[i, 1] = (max(-largest, min(p_t - k_t * v_t, largest)) - p_t) / k_t
         unsolved += residual[i, 0] ** 2 + residual[i, 1] ** 2

@@ -24,6 +24,7 @@ from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, check_network, read_model, weights_of
 from deep_contact.cnn.registry import network_file
 from deep_contact.state.equality import by_value
+from deep_contact.state.materials import at_contacts
 from deep_contact.state.state import State
 from deep_contact.state.validation import brief, expect, list_of
 from deep_contact.stepping.problem import StepProblem
@@ -293,7 +294,7 @@ def _cut(impulses, state: State, project: bool) -> tuple[np.ndarray, np.ndarray]
     impulses: λ_n and λ_t, (2, m), N·s.
     """
     normal, tangent = (np.ascontiguousarray(row) for row in impulses)
-    return projected(normal, tangent, state.world.friction) if project else (normal, tangent)
+    return projected(normal, tangent, at_contacts(state, state.world.friction)) if project else (normal, tangent)
 
 
 def model_of(model: LearnedModel | str | Path | None) -> LearnedModel:

@@ -35,6 +35,7 @@ from deep_contact.stepping.rows import (
     Rows,
     apply_impulse,
     apply_impulses,
+    frictions,
     projected,
     relative_velocity,
 )
@@ -52,13 +53,14 @@ class SolvedProblem(NamedTuple):
     rows: Rows  # rows of the contacts, with the impulses of the step before
     free: np.ndarray  # velocities after Δt of gravity without impulses, packed for the solver, (n + 4, 4)
     solution: np.ndarray  # solved impulses λ*, (m, 2), N·s
-    friction: float  # Coulomb's μ
+    friction: np.ndarray  # Coulomb's μ of each contact, (m,)
 
 
 def solved_problem(state: State) -> SolvedProblem:
     """Return the contact problem of a solved state. Raises ValueError on a state that is not solved."""
     check_solution(state)
     rows, free, friction, _ = step_problem(state)
+    friction = np.full(state.contacts.count, frictions(rows, friction))
     solution = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
     return SolvedProblem(rows, free, solution, friction)
 
@@ -96,7 +98,7 @@ def loss_and_gradient(
     # Apply the adjoint of the projection on the friction cone.
     normal, tangent = start.T
     cut = np.abs(tangent) > problem.friction * np.maximum(normal, 0.0)
-    gradient[cut, 0] += np.copysign(problem.friction, tangent[cut]) * gradient[cut, 1]
+    gradient[cut, 0] += np.copysign(problem.friction[cut], tangent[cut]) * gradient[cut, 1]
     gradient[cut, 1] = 0.0
     gradient[(normal < 0.0) & (gradient[:, 0] > 0.0), 0] = 0.0
     return float(weights @ errors), gradient, errors
@@ -156,15 +158,15 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
     """Do one sweep of the engine's solver over `impulse` and `velocity`, in place, and record which rows were clamped.
 
     The adjoint needs the record, which the engine's own sweep does not make.
-    friction: Coulomb's μ. velocity: solver bodies, (n + 4, 4), with the velocities v⁻ + M⁻¹ Jᵀ λ. impulse: λ, (m, 2),
-    N·s.
+    friction: Coulomb's μ of each contact, (m,). velocity: solver bodies, (n + 4, 4), with the velocities v⁻ + M⁻¹ Jᵀ λ.
+    impulse: λ, (m, 2), N·s.
     clamped: the record, (m, 2), int8, is written. clamped[i, 0] is 1 if λ_n was clamped at 0. clamped[i, 1] is ±1 if
     λ_t was clamped at ±μ λ_n. Otherwise the entries are 0.
     """
     for i in range(rows.body.shape[0]):
         row, (v_n, v_t) = rows.data[i], relative_velocity(rows, velocity, i)
         old_n, old_t = impulse[i, 0], impulse[i, 1]
-        largest = friction * old_n
+        largest = friction[i] * old_n
         new_n, new_t = old_n - row[NORMAL_MASS] * v_n, old_t - row[TANGENT_MASS] * v_t
         clamped[i, 0] = clamped[i, 1] = 0
         if new_n < 0.0:
@@ -195,7 +197,7 @@ def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
         d_t += by_impulse[i, 1]
         if clamped[i, 1] != 0:
             by_impulse[i, 1] -= d_t
-            by_impulse[i, 0] += clamped[i, 1] * friction * d_t
+            by_impulse[i, 0] += clamped[i, 1] * friction[i] * d_t
         if clamped[i, 0] != 0:
             by_impulse[i, 0] -= d_n
         # g_n and g_t are the derivatives with respect to v_n and v_t. The result of a clamped row does not depend on

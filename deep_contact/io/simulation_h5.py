@@ -34,6 +34,7 @@ from deep_contact.state.arrays import Bodies, Contacts
 from deep_contact.state.checks import check_state
 from deep_contact.state.equality import by_value
 from deep_contact.state.fields import contact_faults
+from deep_contact.state.materials import MOST_MATERIALS
 from deep_contact.state.scales import ContactScales
 from deep_contact.state.state import State, StateWithContacts
 from deep_contact.state.validation import expect, number, one_of, refuse_where
@@ -72,14 +73,15 @@ _ARRAYS = {
 """Array -> type in the file, and dimensions: T states, E = T + 1, n circles, M contacts of all states together, 2 for x
 and y."""
 
-_RARE = {"segment": ("<f8", "TS4"), "work": ("<f8", "T")}
+_RARE = {"segment": ("<f8", "TS4"), "work": ("<f8", "T"), "material": ("<i4", "n")}
 """Optional arrays, in the form of `_ARRAYS`: the ends of all S segments in each state, m, stored if segments move; the
-work of kinematics and external forces until each state, J."""
+work of kinematics and external forces until each state, J; the materials of the circles, stored if any is not 0."""
 
 _BODIES, _CONTACTS = tuple(_ARRAYS)[8:12], tuple(_ARRAYS)[12:]
+_MATERIALS = ("touches", "wall_materials", "segment_materials", "rolling_friction")
 _TEXTS = ("format", "name", "solver", "seed", "options", "digest")
 _WORLD = ("box", "gravity", "friction", "restitution")
-_OPTIONAL = ("scales", "segments", "surface_speeds", "segment_velocities")
+_OPTIONAL = ("scales", "segments", "surface_speeds", "segment_velocities", *_MATERIALS)
 _NUMBERS = {"version": "<i8"} | dict.fromkeys(("dt", *_WORLD, *_OPTIONAL), "<f8")
 
 _SHARED = ("name", "world", "dt", "solver")
@@ -130,7 +132,12 @@ class StoredSimulation:
         return State(
             **shared,
             preset=self.header.get("preset"),
-            bodies=Bodies(*(a[name][index].copy() for name in _BODIES), a["mass"].copy(), a["radius"].copy()),
+            bodies=Bodies(
+                *(a[name][index].copy() for name in _BODIES),
+                a["mass"].copy(),
+                a["radius"].copy(),
+                a["material"].astype(np.int64) if "material" in a else None,
+            ),
             contacts=Contacts(*(a[name][of_contacts].copy() for name in _CONTACTS)),
             time=float(a["time"][index]),
             step=int(a["step"][index]),
@@ -163,7 +170,7 @@ def pack_simulation(
         n, circles = first.bodies.count, state.bodies.count
         expected = f"the {n} circles of the first state, as a trajectory has them (dc.film shows any states)"
         expect(circles == n, f"states[{i}].bodies: expected {expected}, got {circles}")
-        for name in ("mass", "radius"):
+        for name in ("mass", "radius", "material"):
             same = np.array_equal(getattr(state.bodies, name), getattr(first.bodies, name))
             expect(same, f"states[{i}].bodies.{name}: expected that of the first state, got another")
     known = first.solver is None or type(first.solver) in METHODS.values()
@@ -181,6 +188,8 @@ def pack_simulation(
         **{name: np.stack([getattr(s.bodies, name) for s in states]) for name in _BODIES},
         **{name: np.concatenate(parts) for name, parts in zip(_CONTACTS, zip(*(s.contacts for s in states)))},
     }
+    if first.bodies.material.any():
+        arrays["material"] = first.bodies.material
     if first.world.segment_velocities:
         arrays["segment"] = np.array([s.world.segments for s in states])
     if work is not None:
@@ -306,6 +315,11 @@ def _attributes(header: dict) -> dict:
     optional = {"scales": tuple(world.scales or ()), "segments": tuple(np.ravel(world.segments).tolist())}
     optional["surface_speeds"] = world.surface_speeds
     optional["segment_velocities"] = tuple(np.ravel(world.segment_velocities).tolist())
+    optional["touches"] = () if world.touches is True else np.array(world.touches, float).tolist()
+    optional |= {name: tuple(map(float, getattr(world, name))) for name in _MATERIALS[1:3]}
+    optional["rolling_friction"] = world.rolling_friction
+    if not any(world.wall_materials):
+        del optional["wall_materials"]
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -356,6 +370,13 @@ def _header(attributes: dict) -> dict:
     segments, velocities = np.reshape(segments, (-1, 4)).tolist(), attributes.get("segment_velocities", ())
     velocities = np.reshape(velocities, (-1, 4)) if np.size(velocities) % 4 == 0 else velocities
     speeds = attributes.get("surface_speeds", ())
+    if "rolling_friction" in attributes:
+        world["rolling_friction"] = attributes["rolling_friction"]
+    for name in (name for name in _MATERIALS[:3] if name in attributes):
+        values = np.array(attributes[name])
+        whole = values.astype(int)
+        expect((whole == values).all(), f"{name}: expected integers, got {attributes[name]}")
+        world[name] = whole == 1 if name == "touches" else whole
     header["world"] = World(**world, segments=segments, surface_speeds=speeds, segment_velocities=velocities)
     for name in ("solver", "seed", "options"):
         try:
@@ -407,6 +428,9 @@ def _check_arrays(arrays: dict, segments: int) -> None:
     end, steps = n + 4 + segments, np.diff(offset, prepend=0)
     refuse("mass", arrays["mass"] <= 0, "a number > 0")
     refuse("radius", arrays["radius"] <= 0, "a number > 0")
+    if "material" in arrays:
+        wrong = (arrays["material"] < 0) | (arrays["material"] >= MOST_MATERIALS)
+        refuse("material", wrong, f"an integer from 0 to {MOST_MATERIALS - 1}")
     refuse("step", arrays["step"] < 0, "an integer >= 0")
     refuse("solved", arrays["solved"] > 1, "0 or 1")
     refuse("contact_offset", (steps < 0) | (offset > a.size), "rising numbers within the contacts")

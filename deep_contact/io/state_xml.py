@@ -24,6 +24,7 @@ from deep_contact.state.arrays import SIDES, WALL_NORMALS, Bodies, Contacts, cor
 from deep_contact.state.checks import check_state
 from deep_contact.state.constants import WALL_SKIN
 from deep_contact.state.fields import is_unit
+from deep_contact.state.materials import MOST_MATERIALS
 from deep_contact.state.scales import ContactScales, mean
 from deep_contact.state.state import State
 from deep_contact.state.validation import integer
@@ -33,12 +34,16 @@ _INERTIA_TOLERANCE = 1e-3
 """Largest relative difference between a stored inertia and m r²/2. Old files store float32."""
 
 _SETTINGS = ("step", "gravity_x", "gravity_y", "friction", "restitution", "solved")
-_PARTS = ("solver", "scales", "bodies", "segments", "contacts")
+_PARTS = ("solver", "scales", "materials", "bodies", "segments", "contacts")
+_OF_PAIRS = ("friction", "restitution", "rolling_friction")
 _ENDS = ("x_0", "y_0", "x_1", "y_1")
 _VELOCITIES = ("v_x_0", "v_y_0", "v_x_1", "v_y_1")
 
 _CORNERS = '<shape value="box">\n' + 4 * '        <corner x="%r" y="%r"/>\n' + "      </shape>"
 _BODY_TEXT = xml_tree.text_of('body index="%d" type="%s"', BODY, '<shape value="circle" radius="%r"/>')
+_MATERIAL_TEXT = xml_tree.text_of(
+    'body index="%d" type="%s" material="%d"', BODY, '<shape value="circle" radius="%r"/>'
+)
 _BOX_TEXT = xml_tree.text_of('body index="%d" type="fixed"', BODY, _CORNERS)
 _SEGMENT_TEXT = '    <segment index="%d" x_0="%r" y_0="%r" x_1="%r" y_1="%r"%s/>\n'
 _CONTACT_TEXT = xml_tree.text_of('contact index="%d" master="%d" slave="%d" separation="%r"', CONTACT)
@@ -81,13 +86,16 @@ def format_state(state: State) -> bytes:
     world, n = state.world, state.bodies.count
     numbers = {"time": float(state.time), "step": integer("step", state.step, most=10**18 - 1), "dt": float(state.dt)}
     numbers |= {"gravity_x": world.gravity[0], "gravity_y": world.gravity[1]}
-    numbers |= {"friction": world.friction, "restitution": world.restitution}
+    numbers |= {name: _first(getattr(world, name)) for name in ("friction", "restitution")}
+    if isinstance(world.rolling_friction, float) and world.rolling_friction > 0.0:
+        numbers["rolling_friction"] = world.rolling_friction
     parts = (
         '<?xml version="1.0" encoding="UTF-8"?>\n',
         f"<configuration name={xml_tree.quoted_attribute('name', state.name)}{_attributes(numbers)}",
         f' solved="{"true" if state.solved else "false"}">\n',
         _format_solver(state.solver, state.preset),
         f"  <scales{_attributes(world.scales._asdict())}/>\n" if world.scales else "",
+        _format_materials(world),
         _format_bodies(state.bodies, world.box),
         _format_segments(world, n),
         "" if state.contacts is None else _format_contacts(state.contacts, n),
@@ -117,6 +125,7 @@ def _read_tree(root, source: str) -> State:
     settings, world = _read_settings(root, parts)
     circles, box_body, rank = _number_bodies(xml_tree.elements_of(parts.get("bodies"), "body"), is_old)
     world |= _read_segments(xml_tree.elements_of(parts.get("segments"), "segment"), rank)
+    world |= _read_materials(parts.get("materials"))
     bodies = _read_bodies(XmlRows(circles, BODY | {"shape": "value radius"}))
     box = _read_box(root, box_body, bodies, is_old)
     contacts = None
@@ -134,12 +143,14 @@ def _read_tree(root, source: str) -> State:
 
 def _read_settings(root, parts: dict) -> tuple[dict, dict]:
     """Return (fields of the state, fields of its world)."""
-    xml_tree.refuse_attributes(root, {"name", "time", "dt", *_SETTINGS})
+    xml_tree.refuse_attributes(root, {"name", "time", "dt", *_SETTINGS, "rolling_friction"})
     solved = read_text(root, "solved")
     expect(solved in ("true", "false"), root, "solved: expected true or false", solved)
     settings = {"name": read_text(root, "name"), "solved": solved == "true", "step": read_integer(root, "step")}
     settings |= {name: read_number(root, name) for name in ("time", "dt")}
     world = {name: read_number(root, name) for name in ("friction", "restitution")}
+    if "rolling_friction" in root.attrib:
+        world["rolling_friction"] = read_number(root, "rolling_friction")
     world["gravity"] = tuple(read_number(root, name) for name in ("gravity_x", "gravity_y"))
     if "solver" in parts:
         settings["solver"] = _read_solver(parts["solver"])
@@ -173,20 +184,57 @@ def _option_value(text: str):
 
 
 def _read_segments(elements, rank: dict) -> dict:
-    """Return segments, surface speeds and velocities of the segments, in the order of their indices.
+    """Return segments, their materials, surface speeds and velocities, in the order of their indices.
 
     rank: index of a body in the file -> index in memory. The segments are added to it, after circles and box.
     """
-    segments, speeds, velocities, start = [], [], [], len(rank)
+    segments, speeds, velocities, materials, start = [], [], [], [], len(rank)
     for index, segment in sorted(xml_tree.by_index(elements).items()):
-        xml_tree.refuse_attributes(segment, {"index", *_ENDS, "speed", *_VELOCITIES})
+        xml_tree.refuse_attributes(segment, {"index", *_ENDS, "speed", *_VELOCITIES, "material"})
         expect(index not in rank, segment, "index: expected each once, got that of a body,", str(index))
         rank[index] = start + len(segments)
         segments.append([read_number(segment, name) for name in _ENDS])
         speeds.append(read_number(segment, "speed") if "speed" in segment.attrib else 0.0)
         is_moving = any(name in segment.attrib for name in _VELOCITIES)
         velocities.append([read_number(segment, name) if is_moving else 0.0 for name in _VELOCITIES])
-    return {"segments": segments, "surface_speeds": speeds, "segment_velocities": velocities}
+        materials.append(_material_of(segment))
+    motion = {"surface_speeds": speeds, "segment_velocities": velocities}
+    return {"segments": segments, "segment_materials": materials, **motion}
+
+
+def _material_of(element) -> int:
+    return read_integer(element, "material") if "material" in element.attrib else 0
+
+
+def _read_materials(element) -> dict:
+    """Return the tables of the world and the materials of its walls. element: that of the materials, or None."""
+    if element is None:
+        return {}
+    xml_tree.refuse_attributes(element, {"count", *SIDES})
+    size = read_integer(element, "count")
+    expect(1 <= size <= MOST_MATERIALS, element, f"count: expected 1 to {MOST_MATERIALS}", str(size))
+    pairs = {}
+    for pair in element:
+        expect(pair.tag == "pair", pair, "expected a <pair> here", pair.tag)
+        xml_tree.refuse_attributes(pair, {"first", "second", *_OF_PAIRS, "touches"})
+        p, q = (read_integer(pair, name) for name in ("first", "second"))
+        expect(
+            0 <= p <= q < size and (p, q) not in pairs, pair, "expected first <= second, each pair once", f"{p}, {q}"
+        )
+        pairs[p, q] = pairs[q, p] = pair
+    world = {"wall_materials": [read_integer(element, side) for side in SIDES]}
+    for name in (*_OF_PAIRS, "touches"):
+        if any(name in pair.attrib for pair in pairs.values()):
+            expect(len(pairs) == size**2, element, f"expected a <pair> for each pair of {size} materials")
+            read = _read_flag if name == "touches" else read_number
+            world[name] = [[read(pairs[p, q], name) for q in range(size)] for p in range(size)]
+    return world
+
+
+def _read_flag(element, name: str) -> bool:
+    text = read_text(element, name)
+    expect(text in ("true", "false"), element, f"{name}: expected true or false", text)
+    return text == "true"
 
 
 # ---- reading: bodies ----
@@ -200,7 +248,7 @@ def _number_bodies(bodies, is_old: bool):
     """
     free, fixed = {}, {}
     for index, body in sorted(xml_tree.by_index(bodies).items()):
-        xml_tree.refuse_attributes(body, {"index", "type"})
+        xml_tree.refuse_attributes(body, {"index", "type", "material"})
         kind = read_text(body, "type")
         expect(kind in ("free", "fixed"), body, "type: expected free or fixed", kind)
         shape = None if is_old else body.find("shape")
@@ -222,7 +270,8 @@ def _read_bodies(rows: XmlRows) -> Bodies:
     rows.refuse(np.array([text != "circle" for text in rows.texts("shape", "value")]), "shape", "value", "circle")
     rows.refuse(radius <= 0, "shape", "radius", "a number > 0")
     motion = [rows.numbers(tag, BODY[tag]) for tag in ("position", "velocity", "orientation", "spin")]
-    bodies = Bodies(*motion, mass, radius)
+    material = np.array([_material_of(element) for element in rows.elements], np.int64)
+    bodies = Bodies(*motion, mass, radius, material)
     # m r²/2 may overflow although m and r do not. The file then has "inf".
     texts = rows.texts("inertia", "value")
     inertia = np.array([math.inf if text == "inf" else xml_tree.to_float(text) for text in texts])
@@ -357,21 +406,45 @@ def _attributes(numbers: dict) -> str:
     return "".join(f' {name}="{value!r}"' for name, value in numbers.items())
 
 
+def _first(value) -> float:
+    """Return a property of pairs, or that of the materials 0 and 0 if it is a table."""
+    return value[0][0] if isinstance(value, tuple) else value
+
+
+def _format_materials(world: World) -> str:
+    """Return the element with the tables and the materials of the walls, or "" if there are none of both."""
+    size = world.materials or 1 + max(world.wall_materials)
+    if size == 1 and world.touches is True:
+        return ""
+    tables = {name: getattr(world, name) for name in _OF_PAIRS if isinstance(getattr(world, name), tuple)}
+    tables |= {} if world.touches is True else {"touches": world.touches}
+    walls = _attributes(dict(zip(SIDES, world.wall_materials))).replace("'", "")
+    lines = ""
+    for p, q in itertools.combinations_with_replacement(range(size), 2):
+        values = {name: repr(table[p][q]).lower() for name, table in tables.items()}
+        lines += f'    <pair first="{p}" second="{q}"' + "".join(f' {n}="{v}"' for n, v in values.items()) + "/>\n"
+    return f'  <materials count="{size}"{walls}>\n{lines if tables else ""}  </materials>\n'
+
+
 def _format_bodies(bodies: Bodies, box) -> str:
     bodies = bodies._replace(mass=bodies.free_mass)
     with np.errstate(over="ignore", under="ignore"):
         inertia = bodies.inertia
-    position, velocity, angle, spin, mass, radius = bodies
-    kinds = np.where(mass > 0, "free", "fixed")
-    columns = range(bodies.count), kinds, mass, *position.T, *velocity.T, angle, inertia, spin, radius
+    position, velocity, angle, spin, mass, radius, material = bodies
+    kinds, text, materials = np.where(mass > 0, "free", "fixed"), _BODY_TEXT, ()
+    if material.any():
+        text, materials = _MATERIAL_TEXT, (material,)
+    columns = range(bodies.count), kinds, *materials, mass, *position.T, *velocity.T, angle, inertia, spin, radius
     box_body = _BOX_TEXT % (bodies.count, *(0.0,) * 8, *itertools.chain(*corners(box)))
-    return f"  <bodies>\n{xml_tree.fill(_BODY_TEXT, bodies.count, columns)}{box_body}  </bodies>\n"
+    return f"  <bodies>\n{xml_tree.fill(text, bodies.count, columns)}{box_body}  </bodies>\n"
 
 
 def _format_segments(world: World, n: int) -> str:
     speeds = [f' speed="{v!r}"' if v else "" for v in world.surface_speeds] or [""] * len(world.segments)
     moves = [_attributes(dict(zip(_VELOCITIES, v))) if any(v) else "" for v in world.segment_velocities]
     speeds = [a + b for a, b in zip(speeds, moves)] if moves else speeds
+    materials = [f' material="{one}"' if one else "" for one in world.segment_materials]
+    speeds = [a + b for a, b in zip(speeds, materials)] if materials else speeds
     both = enumerate(zip(world.segments, speeds), n + 1)
     lines = "".join(_SEGMENT_TEXT % (index, *segment, speed) for index, (segment, speed) in both)
     return f"  <segments>\n{lines}  </segments>\n" if lines else ""

@@ -52,6 +52,8 @@ class _Peer:
         self._state = check_state(state)
         world, bodies = state.world, state.bodies
         still = not np.any(world.segment_velocities)
+        one = world.materials is None
+        expect(one, f"materials: expected one friction and one restitution for {self.name}, got a table")
         expect(still, f"segment_velocities: expected none for {self.name}, got {brief(world.segment_velocities)}")
         expect(not bodies.is_fixed.any(), f"mass: expected no fixed circles for {self.name}, got {brief(bodies.mass)}")
 

@@ -16,6 +16,7 @@ from deep_contact.run.trajectory import Trajectory
 from deep_contact.starts.changed_load import with_time_step
 from deep_contact.starts.classical import starting_impulses
 from deep_contact.starts.names import Start
+from deep_contact.state.materials import largest
 from deep_contact.state.state import State, StateWithContacts, read_only
 from deep_contact.state.validation import flag, integer, suggesting
 from deep_contact.stepping.convergence import ConvergenceRecord
@@ -125,7 +126,7 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
         solver, accuracy, warm_start, sleep = how
         run = Simulator(state, solver=solver, accuracy=accuracy, warm_start=warm_start, sleep=sleep, push=options.push)
     is_driven, every, done = record is not None and run._inputs.actuation is not None, record or steps + 1, 0
-    n, is_shifted = state.bodies.count, record is not None and not is_driven and state.world.restitution > 0.0
+    n, is_shifted = state.bodies.count, record is not None and not is_driven and largest(state.world.restitution) > 0.0
     loads_of = 4 + len(state.world.segments) if forces else 0
     log = make_log(steps, loads_of, n if is_driven else 0, n if is_shifted else 0)
     frames, loads = [] if record is None else [run.state], [log.loads.copy()]

@@ -17,6 +17,7 @@ from deep_contact.solvers import PGS, BatchedPGS, describe
 from deep_contact.starts.classical import Builtin, NoStart
 from deep_contact.starts.names import Start
 from deep_contact.state import html
+from deep_contact.state.materials import in_scene
 from deep_contact.state.state import State
 from deep_contact.state.validation import one_of, suggesting
 from deep_contact.stepping.inputs import leaves_tangents_out
@@ -84,9 +85,10 @@ def plan(
 
 
 def _of_the_scene(scene: State, solver) -> dict[str, Choice]:
-    tangents, friction = not leaves_tangents_out(scene, solver), scene.world.friction
-    why = f"friction is {friction:g}"
-    if friction == 0 and tangents:
+    tangents, friction = not leaves_tangents_out(scene, solver), in_scene(scene, scene.world.friction)
+    low, high = friction.min(), friction.max()
+    why = f"friction is {low:g}" if low == high else f"friction is {low:g} to {high:g}"
+    if high == 0 and tangents:
         has_start = scene.contacts.tangent_start.any()
         why += ", but the state starts from tangent impulses" if has_start else f", but {describe(solver)} needs them"
     world, count = scene.world, len(scene.world.segments)

@@ -24,6 +24,7 @@ from deep_contact.starts.classical import Builtin, NoStart, starting_impulses
 from deep_contact.starts.names import Start, WarmStart
 from deep_contact.state.arrays import LIMITS, Bodies, Contacts
 from deep_contact.state.fields import checked_indices, checked_push, checked_velocities, warn_of_jumps
+from deep_contact.state.materials import largest
 from deep_contact.state.state import State, StateWithContacts, changed, frozen, read_only
 from deep_contact.state.validation import integer, suggesting, warn
 from deep_contact.state.world import World
@@ -42,6 +43,7 @@ from deep_contact.stepping.log import (
     some_steps,
 )
 from deep_contact.stepping.memory import Steps
+from deep_contact.stepping.pairs import is_rough, kinds
 from deep_contact.stepping.prepare import find_contacts, ready
 from deep_contact.stepping.problem import StepProblem
 from deep_contact.stepping.sleeping import wake_pushed
@@ -137,7 +139,7 @@ class Simulator:
     @suggesting
     def set(
         self, *, gravity=None, friction=None, restitution=None, dt=None, segments=None, segment_velocities=None,
-        push=None,
+        push=None, rolling_friction=None,
     ) -> None:  # fmt: skip
         """Change the world, the time step or the push for the following steps. All circles wake.
 
@@ -149,13 +151,14 @@ class Simulator:
         values that `World` refuses.
         """
         fields = {"gravity": gravity, "friction": friction, "restitution": restitution, "segments": segments}
+        fields |= {"rolling_friction": rolling_friction}
         if dt is None and push is None and not any(value is not None for value in fields.values()):
             if segment_velocities is None or self._set_velocities(segment_velocities):
                 return
         fields |= {"segment_velocities": segment_velocities}
         fields, state = {name: value for name, value in fields.items() if value is not None}, self.state
         if segments is not None:  # old velocities and surface speeds may not fit the number of segments
-            for name in ("segment_velocities", "surface_speeds"):
+            for name in ("segment_velocities", "surface_speeds", "segment_materials"):
                 kept = getattr(state.world, name)
                 fields.setdefault(name, kept if len(kept) == len(segments) else ())
         if fields:
@@ -239,7 +242,7 @@ class Simulator:
         scene = changed(state, bodies=bodies, contacts=contacts, load=None)
         scales = scales_of(state, solver)
         inputs = step_input(scene, solver, scales)
-        kind = solver, sleep, isinstance(start, NoStart)
+        kind = solver, sleep, isinstance(start, NoStart), kinds(inputs)
         if self._steps is None or kind != self._kind or not np.array_equal(bodies.radius, self._scene.bodies.radius):
             self._steps = Steps(solver, n, sleep=sleep, carry=not isinstance(start, NoStart))
             # The memory is allocated before the arrays of results, which then lie above it on the heap. Its release
@@ -248,7 +251,8 @@ class Simulator:
         self._steps.wake()
         self._kind, self._start, self._scene, self._scales, self._inputs = kind, start, scene, scales, inputs
         # Without friction, tangent rows are left out once no contact starts from a tangent impulse.
-        self._may_lose_tangents = scene.world.friction == 0.0 and entry_of(solver).advance is None
+        self._may_lose_tangents = largest(scene.world.friction) == 0.0 and entry_of(solver).advance is None
+        self._may_lose_tangents &= not is_rough(inputs.friction)
         self._is_one_solve = changed(scene, solved=True).holds_solution
         self._asks_between = callable(self._options.push) or not isinstance(start, (Builtin, NoStart))
         self._origin = self._now = _Now(contacts, state.step, state.time, state.solved)
@@ -340,7 +344,7 @@ class Simulator:
         if is_watched:
             bodies = Bodies(*map(frozen, scene.bodies[:4]), *self._never_change)
             world, push = self._world(), self._push
-            if scene.world.restitution > 0.0:
+            if largest(scene.world.restitution) > 0.0:
                 log = log._replace(shifts=np.zeros((scene.bodies.count, 2)))
         begun = time.perf_counter()
         following, pair_impulses = self._steps(inputs, contacts, log, problem)
@@ -362,7 +366,7 @@ class Simulator:
         now = step * dt if is_even else origin.time + (step - origin.step) * dt
         if is_watched:
             theta = self._steps.memory(inputs).theta[: log.progress[LAST_SWEEPS]]
-            is_one_solve = log.substeps[0] == 1 and scene.world.restitution == 0.0
+            is_one_solve = log.substeps[0] == 1 and largest(scene.world.restitution) == 0.0
             solved = Contacts(*map(frozen, contacts if is_one_solve else of_whole_step(contacts, pair_impulses)))
             fields = {"world": world, "bodies": bodies, "contacts": solved, "push": push, "solved": True}
             seen = changed(scene, **fields, step=before.step, time=before.time)

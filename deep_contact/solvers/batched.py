@@ -9,6 +9,7 @@ from collections import namedtuple
 from dataclasses import dataclass
 
 import numpy as np
+from numba.extending import overload
 
 from deep_contact.compiled import njit
 from deep_contact.compiled.direct import Direct
@@ -35,9 +36,21 @@ from deep_contact.stepping.log import (
     log_work,
 )
 from deep_contact.stepping.motion import integrate_positions, integrate_velocities
+from deep_contact.stepping.pairs import is_rough, is_rough_type, largest_of
 from deep_contact.stepping.passing import without_passed
 from deep_contact.stepping.position_correction import correct_tiles, fill_centres, take_centres
-from deep_contact.stepping.rows import ARM_A, ARM_B, CONTRACT, N_X, N_Y, NORMAL, NORMAL_MASS, TANGENT, TANGENT_MASS
+from deep_contact.stepping.rows import (
+    ARM_A,
+    ARM_B,
+    CONTRACT,
+    N_X,
+    N_Y,
+    NORMAL,
+    NORMAL_MASS,
+    ROLLING_STARTS,
+    TANGENT,
+    TANGENT_MASS,
+)
 from deep_contact.stepping.segment_grid import moved_segments
 from deep_contact.stepping.segments import positions_before
 from deep_contact.stepping.substeps import divide_by_motion, fly_on
@@ -61,11 +74,11 @@ BatchSettings = namedtuple("BatchSettings", ["tolerance"])
 def sweep_tiles(tiles, first, last, friction):
     """Do a sweep of Projected Gauss-Seidel over the tiles from `first` to before `last`, in place. Returns θ, N·s.
 
-    It is `rows.sweep` for eight contacts at a time. tiles: `Tiles`. friction: Coulomb's μ. θ is the largest change of
-    an impulse.
+    It is `rows.sweep` for eight contacts at a time. tiles: `Tiles`. friction: as in `StepInput`. θ is the largest
+    change of an impulse.
     """
     body, data, impulse, solver_bodies = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies
-    mu, none = spread(friction), spread(0.0)
+    column, none = tiles.friction, spread(0.0)
     theta = none
     for t in range(first, last):
         a_x, a_y, a_s, w_a = load_rows(solver_bodies, body, 2 * t)
@@ -76,10 +89,11 @@ def sweep_tiles(tiles, first, last, friction):
         arm_a, arm_b = load(data, row + ARM_A), load(data, row + ARM_B)
         old_n, old_t = load(impulse, 2 * t + NORMAL), load(impulse, 2 * t + TANGENT)
 
+        (a_s, b_s), theta = batches.roll_tile(friction, tiles.rolling, t, (a_s, b_s), (w_a, w_b), old_n, theta)
         d_x, d_y = b_x - a_x, b_y - a_y
         free_n = k_n * (none - d_x * n_x - d_y * n_y)
         free_t = k_t * (d_y * n_x - d_x * n_y - arm_a * a_s - arm_b * b_s)
-        largest = mu * old_n
+        largest = batches.tile_friction(friction, column, t) * old_n
         p_t = most(least(free_t, largest - old_t), none - largest - old_t)
         p_n = most(free_n, none - old_n)
         store(impulse, 2 * t + NORMAL, old_n + p_n)
@@ -93,6 +107,40 @@ def sweep_tiles(tiles, first, last, friction):
     for j in range(1, WIDTH):
         largest = max(largest, lane(theta, j))
     return largest
+
+
+def start_rolling_tiles(friction, plan, tiles) -> None:
+    """Do `rows.start_rolling` for all tiles of a plan, in place. friction: as in `StepInput`."""
+    if is_rough(friction):
+        roll_blocks(plan, tiles)
+
+
+@overload(start_rolling_tiles)
+def _overload_start_rolling_tiles(friction, plan, tiles):
+    if is_rough_type(friction):
+        return lambda friction, plan, tiles: roll_blocks(plan, tiles)
+    return lambda friction, plan, tiles: None
+
+
+@njit(cache=True)
+def roll_blocks(plan, tiles):
+    """Do `ROLLING_STARTS` sweeps over the rolling rows of all tiles of a plan, in place."""
+    for _ in range(ROLLING_STARTS):
+        for k in plan.order[: plan.count[BLOCKS]]:
+            roll_tiles(tiles, plan.first[k], plan.first[k + 1])
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def roll_tiles(tiles, first, last):
+    """Relax the rolling rows of the tiles from `first` to before `last`, in place. tiles: `Tiles`."""
+    body, solver_bodies = tiles.body, tiles.solver_bodies
+    for t in range(first, last):
+        a_x, a_y, a_s, w_a = load_rows(solver_bodies, body, 2 * t)
+        b_x, b_y, b_s, w_b = load_rows(solver_bodies, body, 2 * t + 1)
+        old_n = load(tiles.impulse, 2 * t + NORMAL)
+        spins, _ = batches.roll_lanes(tiles.rolling, t, (a_s, b_s), (w_a, w_b), old_n, spread(0.0))
+        store_rows(solver_bodies, body, 2 * t, (a_x, a_y, spins[0], w_a))
+        store_rows(solver_bodies, body, 2 * t + 1, (b_x, b_y, spins[1], w_b))
 
 
 @njit(cache=True)
@@ -121,7 +169,9 @@ def relax_tiles(settings, plan, tiles, friction, theta):
     """Do sweeps over all tiles of a plan, in place, until θ is within the tolerance. Returns the number of sweeps.
 
     settings: `BatchSettings`. theta: buffer for θ of each sweep, N·s; its length is the largest number of sweeps.
+    Rolling rows are relaxed alone first (`rows.start_rolling`).
     """
+    start_rolling_tiles(friction, plan, tiles)
     for k in range(theta.shape[0]):
         theta[k] = sweep_blocks(plan, tiles, friction)
         if is_over(theta[k], settings.tolerance):
@@ -138,7 +188,7 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
     m, n = rows.body.shape[0], solver_bodies.shape[0] - 4
     pairs = rows.body.astype(np.int64)
     plan = batches.plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, batches.make_plan(n, m))
-    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n + 5, 1))
+    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n + 5, 1, friction), friction)
     sweeps = relax_tiles(settings, plan, tiles, friction, theta)
     batches.empty_tiles(plan, tiles, rows, solver_bodies)
     return sweeps
@@ -181,7 +231,8 @@ define(BatchWorkspace, _BatchWorkspaceType, ("plan", "tiles", "solved"))
 def make_batch_workspace(context, contacts):
     """A `BatchWorkspace` for steps that start from these contacts. context: `StepContext`."""
     n = context.step.bodies.mass.shape[0]
-    return BatchWorkspace(batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1), contacts)
+    friction = context.step.friction
+    return BatchWorkspace(batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1, friction), contacts)
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -221,7 +272,7 @@ def do_substep_in_batches(context, workspace, log, actuation):
     substep, options, memory, solved = context.substep, context.options, context.memory, context.contacts
     bodies, segments, scales, n = substep.bodies, substep.segments, substep.scales, substep.bodies.mass.shape[0]
     cells, is_built, theta = memory.cells, memory.is_built, memory.theta
-    plan_batches_of(solved, n, workspace)
+    plan_batches_of(solved, n, workspace, substep.friction)
     plan, tiles = workspace.plan, workspace.tiles
     # Velocities: rebounds, external forces, rows in tiles, and the sweeps that solve the rows.
     velocities = tiles.solver_bodies[:n]
@@ -251,12 +302,13 @@ def do_substep_in_batches(context, workspace, log, actuation):
     # Contacts of the next substep. Logs and impacts need the geometry of all contacts; tiles need that of contacts
     # with walls and segments only.
     context.buffer = 1 - context.buffer
-    least = 0 if substep.restitution > 0.0 or is_asked(log) or actuation is not None else n
+    least = 0 if largest_of(substep.restitution) > 0.0 or is_asked(log) or actuation is not None else n
     position, radius, walls = bodies.position, bodies.radius, walls_of(substep)
-    passed = stay_inside.clamp_inside(bodies, before, walls, segments, solved, actuation, substep.dt)
+    touches = substep.touches
+    passed = stay_inside.clamp_inside(bodies, before, walls, segments, solved, touches, actuation, substep.dt)
     broad_phase.refresh_list(position, radius, cells, 0.0)
     mass, buffer = mass_if_fixed(bodies, actuation), memory.contacts[context.buffer]
-    following = find_pairs(position, radius, mass, walls, segments, cells, buffer)
+    following = find_pairs(position, radius, mass, walls, segments, touches, cells, buffer)
     write_geometry(position, radius, walls, segments, following, least)
     if actuation is not None:
         following = without_passed(following, bodies, segments, actuation, log.progress)
@@ -279,11 +331,14 @@ def take_velocities(solver_bodies, velocities):
 
 
 @njit(cache=True, error_model="numpy")
-def plan_batches_of(contacts, n, workspace):
-    """Plan the batches of contacts of n circles, and allocate their tiles if needed, in place on the workspace."""
+def plan_batches_of(contacts, n, workspace, friction):
+    """Plan the batches of contacts of n circles, and allocate their tiles if needed, in place on the workspace.
+
+    friction: as in `StepInput`.
+    """
     if not batches.is_plan_of(workspace.plan, n, contacts, workspace.solved):
         workspace.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, workspace.plan)
-    workspace.tiles = batches.with_room(workspace.plan, workspace.tiles)
+    workspace.tiles = batches.with_room(workspace.plan, workspace.tiles, friction)
     workspace.solved = contacts
 
 
@@ -319,4 +374,4 @@ class _Run:
 
 
 _LOOP = Loop(BatchSettings, relax_in_batches)
-register(BatchedPGS, lambda solver: BatchSettings(tolerance_argument(solver)), (_LOOP,), advance=_Run)
+register(BatchedPGS, lambda solver: BatchSettings(tolerance_argument(solver)), (_LOOP,), advance=_Run, rolls=True)

@@ -22,6 +22,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import overload
 
 from deep_contact.compiled import njit
 from deep_contact.compiled.simd import (
@@ -31,6 +32,7 @@ from deep_contact.compiled.simd import (
     load,
     load_rows,
     lowest_zero,
+    most,
     root,
     spread,
     store,
@@ -39,17 +41,22 @@ from deep_contact.compiled.simd import (
     where_less,
 )
 from deep_contact.stepping.contacts import SMALLEST_DISTANCE, parting
+from deep_contact.stepping.pairs import is_rough, is_rough_type, is_table, is_table_type, value_of
 from deep_contact.stepping.position_correction import IDLE, fill_ground
 from deep_contact.stepping.rows import (
     ARM_A,
     ARM_B,
     BODY_A,
     BODY_B,
+    CONTRACT,
+    FRICTION,
     INVERSE_MASS,
     N_X,
     N_Y,
     NORMAL,
     NORMAL_MASS,
+    ROLL,
+    ROLLING,
     TANGENT,
     TANGENT_MASS,
     V_S,
@@ -69,6 +76,9 @@ of the list."""
 
 CONTACTS, BLOCKS, TILES, CIRCLES, ROWS = range(5)
 """Indices into `BatchPlan.count`."""
+
+BOUND, ROLL_INERTIA, TURN_OF_A, TURN_OF_B, ROLLED = range(5)
+"""Rows of `Tiles.rolling`: the columns `ROLLING` to `TURN_B` of `Rows.data`, and λ_r, N·m·s."""
 
 BATCHES, PHASE_BITS = range(2)
 """Columns of `BatchPlan.mark`."""
@@ -99,8 +109,97 @@ class Tiles(NamedTuple):
     body: np.ndarray  # (T, 2, 8): bodies a and b, as row indices of `solver_bodies` and `centre`
     data: np.ndarray  # (T, 6, 8): normal, effective masses and arms, as in `Rows.data`
     impulse: np.ndarray  # (T, 2, 8): λ_n, λ_t, N·s
+    friction: np.ndarray  # (T, 8): μ, if it depends on the pair; otherwise (0, 8)
+    rolling: np.ndarray  # (T, 5, 8): `BOUND` to `ROLLED`, with rolling resistance; otherwise (0, 5, 8)
     solver_bodies: np.ndarray  # (R, 4): velocities and inverse masses, as in `stepping.rows`
     centre: np.ndarray  # (R, 4): x, y, radius, mass of these bodies (`position_correction.fill_ground`)
+
+
+def tile_friction(friction, column, t):
+    """Return μ of tile t as a vector of eight lanes. friction: as in `StepInput`. column: `Tiles.friction`."""
+    return load(column, t) if is_table(friction) else spread(value_of(friction, 0, 0))
+
+
+def roll_tile(friction, rolling, t, spins, inverse_masses, old_n, theta):
+    """Relax the rolling rows of tile t, if there are any (`rows.roll`), in place on `rolling`.
+
+    friction: as in `StepInput`. rolling: `Tiles.rolling`. spins: s of the first and the second bodies, m/s. old_n: λ_n,
+    N·s. theta: largest changes so far, N·s. Returns (spins, theta). All are vectors of eight lanes.
+    """
+    return roll_lanes(rolling, t, spins, inverse_masses, old_n, theta) if is_rough(friction) else (spins, theta)
+
+
+def write_tile_friction(friction, tiles, t, j, bodies, radius) -> None:
+    """Write what lane j of tile t needs of a table of μ and of rolling resistance, in place. λ_r becomes 0.
+
+    friction: as in `StepInput`. bodies: indices (a, b) as in `Contacts`. radius: (n,), m.
+    """
+    if is_table(friction):
+        tiles.friction[t, j] = value_of(friction, *bodies)
+    if is_rough(friction):
+        write_tile_rolling(friction.rolling, tiles, t, j, bodies, radius)
+
+
+@njit(cache=True, error_model="numpy")
+def write_tile_rolling(rolling, tiles, t, j, bodies, radius):
+    """Write the rows of `Tiles.rolling` of one contact, in place. Arguments as in `write_tile_friction`."""
+    (a, b), n, w_b, turn_b = bodies, radius.shape[0], 0.0, 0.0
+    w_a, turn_a = tiles.solver_bodies[a, INVERSE_MASS], 1.0 / radius[a]
+    if b < n:
+        w_b, turn_b = tiles.solver_bodies[b, INVERSE_MASS], 1.0 / radius[b]
+    inertia = 0.5 / (w_a * turn_a * turn_a + w_b * turn_b * turn_b)
+    for row, value in enumerate((value_of(rolling, a, b), inertia, turn_a, turn_b, 0.0)):
+        tiles.rolling[t, row, j] = value
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def roll_lanes(rolling, t, spins, inverse_masses, old_n, theta):
+    """Do `roll_tile` for tiles with rolling resistance."""
+    row, none, (a_s, b_s), (w_a, w_b) = 5 * t, spread(0.0), spins, inverse_masses
+    turn_a, turn_b, old = load(rolling, row + TURN_OF_A), load(rolling, row + TURN_OF_B), load(rolling, row + ROLLED)
+    bound = load(rolling, row + BOUND) * most(old_n, none)
+    free = load(rolling, row + ROLL_INERTIA) * (turn_a * a_s - turn_b * b_s)
+    p = most(least(free, bound - old), none - bound - old)
+    store(rolling, row + ROLLED, old + p)
+    change = most(p, none - p) * most(turn_a, turn_b)
+    return (a_s - w_a * turn_a * (p + p), b_s + w_b * turn_b * (p + p)), most(theta, change)
+
+
+@overload(tile_friction)
+def _overload_tile_friction(friction, column, t):
+    if is_table_type(friction):
+        return lambda friction, column, t: load(column, t)
+    if is_rough_type(friction):
+        return lambda friction, column, t: spread(friction.friction)
+    return lambda friction, column, t: spread(friction)
+
+
+@overload(roll_tile)
+def _overload_roll_tile(friction, rolling, t, spins, inverse_masses, old_n, theta):
+    if is_rough_type(friction):
+        return lambda friction, rolling, t, spins, inverse_masses, old_n, theta: roll_lanes(
+            rolling, t, spins, inverse_masses, old_n, theta
+        )
+    return lambda friction, rolling, t, spins, inverse_masses, old_n, theta: (spins, theta)
+
+
+@overload(write_tile_friction)
+def _overload_write_tile_friction(friction, tiles, t, j, bodies, radius):
+    def nothing(friction, tiles, t, j, bodies, radius):
+        pass
+
+    def of_table(friction, tiles, t, j, bodies, radius):
+        tiles.friction[t, j] = value_of(friction, bodies[0], bodies[1])
+
+    def of_rolling(friction, tiles, t, j, bodies, radius):
+        write_tile_rolling(friction.rolling, tiles, t, j, bodies, radius)
+
+    def of_both(friction, tiles, t, j, bodies, radius):
+        tiles.friction[t, j] = value_of(friction, bodies[0], bodies[1])
+        write_tile_rolling(friction.rolling, tiles, t, j, bodies, radius)
+
+    choices = {(False, False): nothing, (True, False): of_table, (False, True): of_rolling, (True, True): of_both}
+    return choices[is_table_type(friction), is_rough_type(friction)]
 
 
 @njit(cache=True)
@@ -119,10 +218,14 @@ def make_plan(n, capacity):
 
 
 @njit(cache=True)
-def make_tiles(rows, tiles):
-    """Return uninitialised `Tiles` with `rows` rows of bodies and `tiles` tiles of contacts."""
+def make_tiles(rows, tiles, friction):
+    """Return uninitialised `Tiles` with `rows` rows of bodies and `tiles` tiles of contacts.
+
+    friction: as in `StepInput`.
+    """
     return Tiles(
         np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 6, WIDTH)), np.empty((tiles, 2, WIDTH)),
+        np.empty((tiles * is_table(friction), WIDTH)), np.empty((tiles * is_rough(friction), 5, WIDTH)),
         np.empty((rows, 4)), np.empty((rows, 4)),
     )  # fmt: skip
 
@@ -259,14 +362,14 @@ def sort_phases(blocks, plan):
 
 
 @njit(cache=True)
-def with_room(plan, tiles):
-    """Return the tiles, or larger tiles if the plan needs them.
+def with_room(plan, tiles, friction):
+    """Return the tiles, or larger tiles if the plan needs them. friction: as in `StepInput`.
 
     Velocities and inverse masses of walls and idle bodies are set to 0.
     """
     n, rows, last = plan.count[CIRCLES], plan.count[ROWS], plan.count[TILES]
     if last > tiles.body.shape[0] or rows > tiles.solver_bodies.shape[0]:
-        tiles = make_tiles(n + (rows - n) * 3 // 2 + 5, last + last // 2)
+        tiles = make_tiles(n + (rows - n) * 3 // 2 + 5, last + last // 2, friction)
     tiles.solver_bodies[n : n + 5 * plan.count[BLOCKS]] = 0.0
     return tiles
 
@@ -302,6 +405,7 @@ def place_block(step, contacts, plan, tiles, k, actuation):
                 b, own = own, own + np.uint32(1)
             else:
                 b, data[t, ARM_B, j] = np.uint32(ground + b - n), 0.0
+        write_tile_friction(step.friction, tiles, t, j, (body_a[i], body_b[i]), step.bodies.radius)
         body[t, BODY_A, j], body[t, BODY_B, j] = a, b
         impulse[t, NORMAL, j], impulse[t, TANGENT, j] = share * normal_start[i], share * tangent_start[i]
     pad_block(plan, tiles, k)
@@ -435,16 +539,21 @@ def pad_block(plan, tiles, k):
             tiles.body[t, BODY_A, j] = tiles.body[t, BODY_B, j] = idle
             for row in range(6):
                 tiles.data[t, row, j] = 0.0
+            if tiles.friction.shape[0] > 0:
+                tiles.friction[t, j] = 0.0
+            if tiles.rolling.shape[0] > 0:
+                for row in range(5):
+                    tiles.rolling[t, row, j] = 0.0
             tiles.impulse[t, NORMAL, j] = tiles.impulse[t, TANGENT, j] = 0.0
 
 
 @njit(cache=True)
-def fill_tiles(rows, solver_bodies, plan, tiles):
+def fill_tiles(rows, solver_bodies, plan, tiles, friction):
     """Copy the rows to their places in the tiles, and copy the solver bodies, in place.
 
-    Returns the tiles, or larger tiles if needed.
+    friction: as in `StepInput`. Returns the tiles, or larger tiles if needed.
     """
-    n, tiles = plan.count[CIRCLES], with_room(plan, tiles)
+    n, tiles = plan.count[CIRCLES], with_room(plan, tiles, friction)
     for k in range(plan.count[BLOCKS]):
         ground, (begin, end) = n + 5 * k, contacts_of_block(plan, k)
         for i in range(begin, end):
@@ -452,8 +561,18 @@ def fill_tiles(rows, solver_bodies, plan, tiles):
             a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
             tiles.body[t, BODY_A, j] = a
             tiles.body[t, BODY_B, j] = b if b < n else ground + (b - n)
-            tiles.data[t, :, j] = rows.data[i]
-            tiles.impulse[t, :, j] = rows.impulse[i]
+            for column in range(ARM_B + 1):
+                tiles.data[t, column, j] = rows.data[i, column]
+            if tiles.friction.shape[0] > 0:
+                tiles.friction[t, j] = rows.data[i, FRICTION]
+            if tiles.rolling.shape[0] > 0:
+                for column in range(4):
+                    tiles.rolling[t, column, j] = rows.data[i, ROLLING + column]
+                tiles.rolling[t, ROLLED, j] = rows.impulse[i, ROLL]
+            tiles.impulse[t, NORMAL, j], tiles.impulse[t, TANGENT, j] = (
+                rows.impulse[i, NORMAL],
+                rows.impulse[i, TANGENT],
+            )
         pad_block(plan, tiles, k)
         tiles.solver_bodies[ground : ground + IDLE] = solver_bodies[n:]
     tiles.solver_bodies[:n] = solver_bodies[:n]

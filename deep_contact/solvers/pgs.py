@@ -88,4 +88,4 @@ def _settings(solver: PGS) -> NamedTuple:
 
 
 _ISLANDS = Loop(IslandsSettings, relax_islands, make_islands_workspace, counts_relaxations=True)
-register(PGS, _settings, (Loop(PGSSettings, relax_pgs), _ISLANDS))
+register(PGS, _settings, (Loop(PGSSettings, relax_pgs), _ISLANDS), rolls=True)

@@ -12,15 +12,15 @@ from deep_contact.compiled import njit
 from deep_contact.state import validation
 from deep_contact.stepping.convergence import is_over
 from deep_contact.stepping.interface import Loop, SolverOptions, register, tolerance_argument
-from deep_contact.stepping.rows import NORMAL_MASS, TANGENT_MASS, sweep
+from deep_contact.stepping.rows import NORMAL_MASS, TANGENT_MASS, scale_rolling, sweep
 
 
 @dataclass(frozen=True, kw_only=True)
 class PSOR(SolverOptions):
     """Projected successive over-relaxation: PGS with every change of an impulse multiplied by ω.
 
-    omega: ω, between 0 and 2. friction_omega: ω of the friction rows; None means `omega`. The other options are those
-    of every solver (`SolverOptions`).
+    omega: ω, between 0 and 2. friction_omega: ω of friction and rolling rows; None means `omega`. The other options are
+    those of every solver (`SolverOptions`).
 
     Without friction the method converges for 0 < ω < 2 (Cottle, Pang and Stone, The Linear Complementarity Problem,
     1992, section 5.3). Other values are refused.
@@ -61,6 +61,7 @@ def relax_psor(settings, rows, friction, solver_bodies, theta, workspace):
         rows.data[i, NORMAL_MASS] *= settings.omega
         if friction is not None:
             rows.data[i, TANGENT_MASS] *= settings.friction_omega
+            scale_rolling(friction, rows, i, settings.friction_omega)
     least = min(settings.omega, settings.friction_omega)
     for k in range(theta.shape[0]):
         theta[k] = sweep(rows, friction, solver_bodies) / least
@@ -74,4 +75,4 @@ def _settings(solver: PSOR) -> PSORSettings:
     return PSORSettings(tolerance_argument(solver), float(solver.omega), float(friction_omega))
 
 
-register(PSOR, _settings, (Loop(PSORSettings, relax_psor),))
+register(PSOR, _settings, (Loop(PSORSettings, relax_psor),), rolls=True)

@@ -17,6 +17,7 @@ from deep_contact.solvers import NesterovPGS
 from deep_contact.starts.impulses_at_rest import at_rest
 from deep_contact.starts.support import supported
 from deep_contact.state.checks import check_types
+from deep_contact.state.materials import largest
 from deep_contact.state.scales import mean, theta_tolerance
 from deep_contact.state.state import State, StateWithContacts, changed
 from deep_contact.state.validation import number
@@ -24,7 +25,7 @@ from deep_contact.state.world import World
 from deep_contact.stepping.inputs import actuation_of
 from deep_contact.stepping.metrics import energy_norm
 from deep_contact.stepping.problem import StepProblem, solve, started, step_problem
-from deep_contact.stepping.rows import best_share, projected
+from deep_contact.stepping.rows import best_share, frictions, projected
 from deep_contact.stepping.substeps import shift_flights
 
 SWEEPS = 500, 2000
@@ -54,17 +55,20 @@ def load_of(state: State) -> tuple[int, int]:
 
     The load consists of the world, Δt, the pushes, and the positions, masses and radii of the circles.
     """
-    position, velocity, _, spin, mass, radius = map(np.ascontiguousarray, state.bodies)
+    position, velocity, _, spin, mass, radius, _ = map(np.ascontiguousarray, state.bodies)
     load, motion = zlib.crc32(np.float64(state.dt), _of_world(state.world)), zlib.crc32(velocity, zlib.crc32(spin))
-    for values in (position, mass, radius, *(state.push or ())):
+    material = () if state.world.materials is None else (state.bodies.material,)
+    for values in (position, mass, radius, *material, *(state.push or ())):
         load = zlib.crc32(values, load)
     return load, motion
 
 
 def _of_world(world: World) -> int:
     if (kept := vars(world).get("_digest")) is None:
-        numbers = *world.box, *world.gravity, world.friction, world.restitution, *np.ravel(world.segments)
-        dragging = world.surface_speeds if world.friction > 0 else ()
+        numbers = *world.box, *world.gravity, *np.ravel(world.friction), *np.ravel(world.restitution)
+        numbers += *np.ravel(world.segments), *np.ravel(world.touches), *world.wall_materials, *world.segment_materials
+        numbers += (*np.ravel(world.rolling_friction),)
+        dragging = world.surface_speeds if largest(world.friction) > 0 else ()
         kept = zlib.crc32(np.array([*numbers, *dragging, *(world.scales or ())], np.float64))
         vars(world)["_digest"] = kept  # cached in the world, which never changes
     return kept
@@ -90,7 +94,7 @@ def with_new_load(state: StateWithContacts, solver) -> StateWithContacts:
     if not contacts.have_past:
         return state
     problem, zero = step_problem(state), (np.zeros(contacts.count), np.zeros(contacts.count))
-    carried = projected(contacts.normal_start, contacts.tangent_start, state.world.friction)
+    carried = projected(contacts.normal_start, contacts.tangent_start, frictions(problem.rows, problem.friction))
     energy, (energy_carried, fastest) = (_left(state, *start, solver, problem) for start in (zero, carried))
     most = np.hypot(*state.bodies.velocity.T).max()
     most += KICK * math.sqrt(math.hypot(*state.world.gravity) * mean(state.bodies.radius))
@@ -181,7 +185,7 @@ def with_shifted_flights(state: StateWithContacts, change: float) -> StateWithCo
 
     Only the velocities of circles in flight are corrected, and only if e > 0. These circles then keep their energy.
     """
-    if change == 0.0 or state.world.restitution == 0.0 or state.step == 0:
+    if change == 0.0 or largest(state.world.restitution) == 0.0 or state.step == 0:
         return state
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy())
     shift_flights(bodies, state.contacts, state.world.gravity, change, actuation_of(state), np.zeros((0, 2)))

@@ -29,6 +29,7 @@ from deep_contact.stepping.rows import (
     V_Y,
     Rows,
     apply_impulses,
+    friction_of,
     relative_velocity,
 )
 
@@ -107,8 +108,8 @@ def approach(rows, friction, v, step, trial, old):
     body, data, along, square = rows.body, rows.data, 0.0, 0.0
     for i in range(body.shape[0]):
         g_n, g_t = relative_velocity(rows, v, i)
-        scaled = step * data[i, NORMAL_MASS]
-        p_n, p_t = nearest_in_cone(trial[i, NORMAL] - scaled * g_n, trial[i, TANGENT] - scaled * g_t, friction)
+        scaled, mu = step * data[i, NORMAL_MASS], friction_of(friction, data, i)
+        p_n, p_t = nearest_in_cone(trial[i, NORMAL] - scaled * g_n, trial[i, TANGENT] - scaled * g_t, mu)
         d_n, d_t = p_n - trial[i, NORMAL], p_t - trial[i, TANGENT]
         square += (d_n * d_n + d_t * d_t) / data[i, NORMAL_MASS]
         trial[i, NORMAL], trial[i, TANGENT] = p_n, p_t

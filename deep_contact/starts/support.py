@@ -27,6 +27,7 @@ from deep_contact.stepping.rows import (
     V_S,
     V_X,
     V_Y,
+    friction_of,
 )
 
 LOCAL_SWEEPS = 3
@@ -80,7 +81,7 @@ def hand_down(rows, friction, v, still, height, order):
                 carry(a, i, rows, friction, v, still)
         for i in mine:
             # The normal impulse has changed since the tangent impulse was clamped, so it is clamped again.
-            bound = friction * impulse[i, NORMAL]
+            bound = friction_of(friction, data, i) * impulse[i, NORMAL]
             impulse[i, TANGENT] = max(-bound, min(impulse[i, TANGENT], bound))
             is_a = body[i, BODY_A] == a
             b, sign = (body[i, BODY_B], 1.0) if is_a else (body[i, BODY_A], -1.0)
@@ -110,7 +111,7 @@ def carry(a, i, rows, friction, v, still):
     w = v[a, INVERSE_MASS]
     d_x, d_y = sign * (v[a, V_X] - still[b, V_X]), sign * (v[a, V_Y] - still[b, V_Y])
     slip = d_x * n_y - d_y * n_x + mine * v[a, V_S] + other * still[b, V_S]
-    bound = friction * impulse[i, NORMAL]
+    bound = friction_of(friction, data, i) * impulse[i, NORMAL]
     p_t = max(-bound, min(impulse[i, TANGENT] - slip / (w * (1.0 + 2.0 * mine * mine)), bound)) - impulse[i, TANGENT]
     p_n = max(impulse[i, NORMAL] - (d_x * n_x + d_y * n_y) / w, 0.0) - impulse[i, NORMAL]
     impulse[i, NORMAL] += p_n

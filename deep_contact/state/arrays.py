@@ -37,6 +37,7 @@ LIMITS = {
     "world.segment_velocities": (-1e10, 1e10, "m/s"),
     "world.gravity": (-1e6, 1e6, "m/s²"),
     "world.friction": (0.0, 1e12, ""),
+    "world.rolling_friction": (0.0, 1e12, "m"),
     "dt": (1e-9, 1.0, "s"),
     "scales.slop": (0.0, 1e11, "m"),
     "scales.wall_skin": (0.0, 1e11, "m"),
@@ -69,9 +70,12 @@ class Bodies(NamedTuple):
     | spin     | angular velocity ω                | (n,)   | rad/s |
     | mass     | mass; infinite for a fixed circle | (n,)   | kg    |
     | radius   | radius                            | (n,)   | m     |
+    | material | index in the tables of the world  | (n,)   | –     |
 
     A fixed circle moves with its own velocity and spin, which no force or contact changes. If both are 0 it is a peg,
     otherwise a roller. Fixed circles, walls and segments have no contacts among themselves.
+
+    Materials are integers from 0 on (`World`). Without an array of materials, a `State` has 0 for every circle.
 
     `pandas.DataFrame(bodies.table())` has a row for each circle; `pandas.DataFrame(bodies)` raises an error.
     """
@@ -82,6 +86,7 @@ class Bodies(NamedTuple):
     spin: np.ndarray
     mass: np.ndarray
     radius: np.ndarray
+    material: np.ndarray | None = None
 
     @property
     def count(self) -> int:
@@ -105,7 +110,9 @@ class Bodies(NamedTuple):
         return np.where(self.is_fixed, 0.0, self.mass)
 
     def table(self) -> dict[str, np.ndarray]:
-        """Return the columns x, y, v_x, v_y, angle, spin, mass and radius by name, (n,) each, in the units above.
+        """Return the columns x, y, v_x, v_y, angle, spin, mass, radius and material by name, (n,) each.
+
+        Units are those above.
 
         `pandas.DataFrame` and polars accept the result.
         """
@@ -113,7 +120,10 @@ class Bodies(NamedTuple):
         return {"x": x, "y": y, "v_x": v_x, "v_y": v_y} | dict(zip(self._fields[2:], self[2:]))
 
     def _repr_html_(self) -> str:
-        return html.arrays_shown(html.counted(self.count, "circle"), self._asdict())
+        shown = self._asdict()
+        if self.material is None or not self.material.any():
+            del shown["material"]
+        return html.arrays_shown(html.counted(self.count, "circle"), shown)
 
 
 @by_value

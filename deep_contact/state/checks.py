@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from deep_contact.state.arrays import Bodies, Contacts
 from deep_contact.state.fields import beyond_limits, check_bodies, check_contacts
+from deep_contact.state.materials import expect_in_tables
 from deep_contact.state.state import State, changed
 from deep_contact.state.validation import brief, flag, integer, number
 from deep_contact.state.world import World
@@ -24,6 +25,7 @@ def check_state(state: State) -> State:
 def with_checked_arrays(state: State) -> State:
     """Return the state with validated copies of all arrays. Raises ValueError naming the field and the value."""
     bodies, contacts = check_bodies(state.bodies), state.contacts
+    expect_in_tables("bodies.material", bodies.material, state.world.materials)
     if contacts is not None:
         contacts = check_contacts(contacts, bodies, len(state.world.segments))
     return changed(state, bodies=bodies, contacts=contacts)

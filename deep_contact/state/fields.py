@@ -12,6 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deep_contact.state.arrays import LIMITS, Bodies, Contacts
+from deep_contact.state.materials import (
+    MOST_MATERIALS,
+    checked_materials,
+    checked_table,
+    checked_touches,
+    expect_in_tables,
+    table_size,
+)
 from deep_contact.state.scales import ContactScales
 from deep_contact.state.validation import (
     brief,
@@ -35,15 +43,15 @@ UNIT = 1e-4
 
 @suggesting
 def make_bodies(
-    position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None, fixed=False
+    position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None, fixed=False, material=0
 ) -> Bodies:
     """Make circles from their centres. Every other argument is one value for all circles, or one value for each circle.
 
     position: centres, (n, 2), m. radius: radii, m; by default 1 m. velocity: velocities of the centres, (2,) or (n, 2),
     m/s. angle: orientations, rad, counter-clockwise. spin: angular velocities, rad/s, counter-clockwise. density: mass
     per area, kg/m², used if `mass` is None. mass: masses, kg. fixed: whether no force or contact changes the motion of
-    a circle; a fixed circle has an infinite mass (`Bodies`), whatever `mass` and `density` are. Raises ValueError
-    naming the field, the body and the value.
+    a circle; a fixed circle has an infinite mass (`Bodies`), whatever `mass` and `density` are. material: index in the
+    tables of the world, an integer from 0 on (`World`). Raises ValueError naming the field, the body and the value.
     """
     places = real_numbers(position)
     if places is None or np.atleast_2d(places).shape[1:] != (2,):
@@ -60,8 +68,11 @@ def make_bodies(
     angle, spin, mass = (_for_each(*one, (n,)) for one in (("angle", angle), ("spin", spin), ("mass", mass)))
     flags = np.asarray(fixed)
     expect(flags.dtype == bool and flags.shape in ((), (n,)), f"fixed: expected {n} flags, or one, got {brief(fixed)}")
-    mass = np.where(flags, np.inf, mass)
-    return check_bodies(Bodies(position, velocity, angle, spin, mass, radius))
+    mass, material = np.where(flags, np.inf, mass), np.asarray(material)
+    fits = np.issubdtype(material.dtype, np.integer) and material.shape in ((), (n,))
+    if not fits:
+        raise ValueError(f"material: expected {n} integers, or one, got {brief(material)}")
+    return check_bodies(Bodies(position, velocity, angle, spin, mass, radius, np.broadcast_to(material, (n,))))
 
 
 def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
@@ -85,13 +96,24 @@ def checked_world(world: World) -> dict:
     box = several("box", world.box, 4, expected="finite numbers, (x_min, y_min, x_max, y_max)")
     fits = box[0] < box[2] and box[1] < box[3]
     expect(fits, f"box: expected (x_min, y_min, x_max, y_max) of positive extent, got {world.box}")
+    of_pairs = {
+        "friction": checked_table("friction", world.friction),
+        "restitution": checked_table("restitution", world.restitution, high=1),
+        "rolling_friction": checked_table("rolling_friction", world.rolling_friction),
+        "touches": checked_touches(world.touches),
+    }
+    materials = {
+        "wall_materials": checked_materials("wall_materials", world.wall_materials, 4),
+        "segment_materials": _checked_segment_materials(world.segment_materials, len(segments)),
+    }
+    for name, values in materials.items():
+        expect_in_tables(name, values, table_size(of_pairs))
     return {
         "box": box, "segments": segments, "scales": _checked_scales(world.scales),
         "gravity": several("gravity", world.gravity, 2, expected="finite numbers, such as (0, -9.81)"),
         "surface_speeds": _checked_speeds(world.surface_speeds, len(segments)),
         "segment_velocities": checked_velocities(world.segment_velocities, len(segments)),
-        "friction": number("friction", world.friction, low=0),
-        "restitution": number("restitution", world.restitution, low=0, high=1),
+        **of_pairs, **materials,
     }  # fmt: skip
 
 
@@ -107,24 +129,30 @@ def check_bodies(bodies: Bodies) -> Bodies:
         return Bodies(*map(np.copy, bodies))
     # The radius is checked first: if a bad mass was computed from a bad radius, the message names the radius.
     names = sorted(Bodies._fields, key=lambda name: name != "radius")
+    if bodies.material is None:
+        bodies = bodies._replace(material=np.zeros(n, np.int64))
     fields = {name: _checked_array("bodies", name, getattr(bodies, name), n) for name in names}
     for name in ("mass", "radius"):
         refuse_where(fields[name] <= 0, f"bodies.{name}", fields[name], "a number > 0")
+    material = fields["material"]
+    expected = f"an integer from 0 to {MOST_MATERIALS - 1}"
+    refuse_where((material < 0) | (material >= MOST_MATERIALS), "bodies.material", material, expected)
     return Bodies(**fields)
 
 
 def _are_plain(bodies: Bodies, n: int) -> bool:
-    """Return whether all arrays are contiguous float64 arrays of the right shape with valid values.
+    """Return whether all arrays are contiguous, and have the right types, the right shapes and valid values.
 
     This one fast test accepts most bodies, which then need no further check.
     """
-    shapes = (n, 2), (n, 2), (n,), (n,), (n,), (n,)
-    for array, shape in zip(bodies, shapes):
-        if type(array) is not np.ndarray or array.dtype != np.float64 or array.shape != shape or not array.flags.carray:
+    shapes = (n, 2), (n, 2), (n,), (n,), (n,), (n,), (n,)
+    for array, shape, kind in zip(bodies, shapes, (*[np.float64] * 6, np.int64)):
+        if type(array) is not np.ndarray or array.dtype != kind or array.shape != shape or not array.flags.carray:
             return False
-    mass, radius = bodies.mass, bodies.radius
+    mass, radius, material = bodies.mass, bodies.radius, bodies.material
     finite = np.isfinite(np.concatenate([array.ravel() for array in (*bodies[:4], radius)])).all()
-    return bool(finite and (radius > 0).all() and (mass > 0).all())
+    is_known = ((material >= 0) & (material < MOST_MATERIALS)).all()
+    return bool(finite and is_known and (radius > 0).all() and (mass > 0).all())
 
 
 def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Contacts:
@@ -268,6 +296,12 @@ def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
     return checked if any(checked) else ()
 
 
+def _checked_segment_materials(materials, count: int) -> tuple[int, ...]:
+    count = 0 if np.array_equal(materials, []) else count
+    checked = checked_materials("segment_materials", materials, count)
+    return checked if any(checked) else ()
+
+
 def checked_velocities(velocities, count: int) -> tuple[tuple[float, ...], ...]:
     numbers = real_numbers(velocities)
     fits = numbers is not None and (numbers.size == 0 or numbers.shape in ((count, 2, 2), (count, 4)))
@@ -299,12 +333,12 @@ def _length(name: str, values) -> int:
 
 
 def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
-    """Return a validated copy of the array of a field: int64 for indices of bodies, float64 for all other fields.
+    """Return a validated copy of the array of a field: int64 for indices and materials, float64 for all other fields.
 
     owner: "bodies" or "contacts", for the message. name: name of the field. count: number of bodies or contacts.
     """
     shape = (count, 2) if name in ("position", "velocity", "normal") else (count,)
-    if name in ("body_a", "body_b"):
+    if name in ("body_a", "body_b", "material"):
         index = np.asarray(value)
         fits = index.shape == shape and (np.issubdtype(index.dtype, np.integer) or index.size == 0)
         expect(fits, f"{owner}.{name}: expected integers of shape {shape}, got {index.dtype}, {index.shape}")

@@ -13,6 +13,7 @@ from deep_contact.lazy import HOOKS, imported
 from deep_contact.state import constants, html
 from deep_contact.state.arrays import SIDES, Bodies, Contacts, no_contacts
 from deep_contact.state.fields import check_bodies, check_kept_contacts, checked_indices, warn_of_jumps
+from deep_contact.state.materials import largest
 from deep_contact.state.scales import ContactScales, contact_scales
 from deep_contact.state.validation import suggesting
 from deep_contact.state.world import World
@@ -61,12 +62,16 @@ class State:
     def __post_init__(self):
         if not isinstance(self.bodies, Bodies):
             raise ValueError(f"bodies: expected Bodies, as dc.make_bodies makes them, got {type(self.bodies).__name__}")
+        if self.bodies.material is None:
+            radius = self.bodies.radius
+            material = np.zeros(len(radius) if np.iterable(radius) else 1, np.int64)
+            object.__setattr__(self, "bodies", self.bodies._replace(material=material))
 
     @property
     def holds_solution(self) -> bool:
         """Whether the impulses solve a single contact problem, as after a step without substeps and restitution."""
         is_divided = self.solver is not None and self.solver.substeps * self.solver.motion_parts > 1
-        return self.solved and self.world.restitution == 0.0 and not is_divided
+        return self.solved and largest(self.world.restitution) == 0.0 and not is_divided
 
     @property
     def scales(self) -> ContactScales:

@@ -106,8 +106,9 @@ def do_substep(context, sleep, log, actuation):
     # The contacts of the next substep, and the circles that sleep in it.
     context.buffer = 1 - context.buffer
     walls, mass, buffer = walls_of(substep), mass_if_fixed(bodies, actuation), memory.contacts[context.buffer]
-    passed = clamp_inside(bodies, before, walls, segments, contacts, actuation, substep.dt)
-    following = detect_contacts(bodies.position, bodies.radius, mass, walls, segments, memory.cells, buffer)
+    passed = clamp_inside(bodies, before, walls, segments, contacts, substep.touches, actuation, substep.dt)
+    touches = substep.touches
+    following = detect_contacts(bodies.position, bodies.radius, mass, walls, segments, touches, memory.cells, buffer)
     if actuation is not None:
         following = without_passed(following, bodies, segments, actuation, log.progress)
         if passed >= 0:

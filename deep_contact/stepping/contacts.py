@@ -15,6 +15,7 @@ from deep_contact.compiled import njit
 from deep_contact.state.arrays import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
 from deep_contact.state.constants import NEARLY
 from deep_contact.stepping.broad_phase import TOUCHING, circles_around, refresh_list, sort_into_cells, sum_of
+from deep_contact.stepping.pairs import pass_through
 from deep_contact.stepping.segment_grid import segment_gap
 from deep_contact.stepping.segments import insert_pairs
 
@@ -123,32 +124,33 @@ def write_walls(x, y, reach, box, n, body_b, m):
 
 
 @njit(cache=True, error_model="numpy")
-def detect_contacts(position, radius, mass, walls, segments, cells, buffer):
+def detect_contacts(position, radius, mass, walls, segments, touches, cells, buffer):
     """Find all contacts at these positions, sorted by (body_a, body_b), with their geometry.
 
     Their impulses and starting impulses are not initialised. position: (n, 2), m. radius: (n,), m. mass: (n,), kg, or
-    None if no circle is fixed. walls: `Walls`. segments: `Segments`, or None. cells, buffer: work arrays. Returns views
-    of the buffer, or of a larger one.
+    None if no circle is fixed. walls: `Walls`. segments: `Segments`, or None. touches: `StepInput.touches`. cells,
+    buffer: work arrays. Returns views of the buffer, or of a larger one.
     """
     refresh_list(position, radius, cells, 0.0)
-    contacts = find_pairs(position, radius, mass, walls, segments, cells, buffer)
+    contacts = find_pairs(position, radius, mass, walls, segments, touches, cells, buffer)
     write_geometry(position, radius, walls, segments, contacts, 0)
     return contacts
 
 
 @njit(inline="always")
-def find_pairs(position, radius, mass, walls, segments, cells, buffer):
+def find_pairs(position, radius, mass, walls, segments, touches, cells, buffer):
     """Find the pairs of `detect_contacts`, without their geometry. `cells` are those after `refresh_list`."""
     while True:
         m = write_pairs(position, radius, walls, cells, buffer.body_a, buffer.body_b)
         if segments is not None:
             if m >= 0 and segments.line.shape[0] > 0:
-                m = insert_pairs(position, radius, walls, segments, buffer.body_a, buffer.body_b, m)
+                m = insert_pairs(position, radius, walls, segments, touches, buffer.body_a, buffer.body_b, m)
         if m >= 0:
             break
         # The buffer is too short. Only a heap of overlapping circles has so many pairs.
         buffer = more_contacts(2 * buffer.body_a.shape[0] + 64)
-    return some_contacts(buffer, 0, without_fixed(buffer.body_a, buffer.body_b, mass, m))
+    m = without_fixed(buffer.body_a, buffer.body_b, mass, m)
+    return some_contacts(buffer, 0, without_barred(buffer.body_a, buffer.body_b, touches, radius.shape[0], m))
 
 
 @njit(cache=True)
@@ -163,6 +165,23 @@ def without_fixed(body_a, body_b, mass, m):
     for i in range(m):
         if mass[body_a[i]] < math.inf or (body_b[i] < n and mass[body_b[i]] < math.inf):
             body_a[kept], body_b[kept] = body_a[i], body_b[i]
+            kept += 1
+    return kept
+
+
+@njit(cache=True)
+def without_barred(body_a, body_b, touches, n, m):
+    """Drop the pairs that pass through each other from the first m pairs, in place. Returns the number of the others.
+
+    touches: `StepInput.touches`; if it is None, all pairs stay. n: number of circles. Walls keep their pairs.
+    """
+    if touches is None:
+        return m
+    kept = 0
+    for i in range(m):
+        a, b = body_a[i], body_b[i]
+        if n <= b < n + 4 or not pass_through(touches, a, b):
+            body_a[kept], body_b[kept] = a, b
             kept += 1
     return kept
 

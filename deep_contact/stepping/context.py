@@ -17,6 +17,7 @@ from deep_contact.state.arrays import Bodies, Contacts
 from deep_contact.state.scales import ContactScales
 from deep_contact.stepping.broad_phase import Cells, make_cells
 from deep_contact.stepping.contacts import Walls, make_contacts
+from deep_contact.stepping.pairs import PairTable, Rough
 from deep_contact.stepping.position_correction import CorrectionWorkspace, make_correction_workspace
 from deep_contact.stepping.rows import Rows, make_rows
 from deep_contact.stepping.segment_grid import NO_SEGMENTS, Segments, moved_segments
@@ -52,17 +53,18 @@ class StepInput(NamedTuple):
     impulses divided by the number of substeps.
     """
 
-    bodies: Bodies  # the steps move them in place
+    bodies: Bodies  # the steps move them in place; without the array of materials
     box: tuple  # (x_min, y_min, x_max, y_max), m
     segments: Segments | None
     gravity: tuple  # (g_x, g_y), m/s²
-    friction: float | None  # μ; None in place of 0 leaves the tangent rows out
-    restitution: float | None  # e
+    friction: float | PairTable | Rough | None  # μ, and ρ; None in place of 0 leaves the tangent rows out
+    restitution: float | PairTable | None  # e
     dt: float  # Δt of a substep, s
     substeps: int  # number of substeps of a step: the solver's number times the number of parts by motion
     scales: ContactScales  # scales of the state from which the steps start
     motion: Motion | None = None
     actuation: Actuation | None = None  # if it moves segments, `segments.line` is a copy, which moves in place
+    touches: PairTable | None = None  # whether pairs have contacts; None if all have
 
 
 def with_optional(step: StepInput) -> StepInput:
@@ -144,8 +146,8 @@ def begin_steps(context, contacts, log, actuation):
 def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
     """Return a `StepMemory` for n circles and `capacity` contacts.
 
-    A step with more contacts allocates arrays of its own. sweeps: largest number of sweeps of a solve. friction: None
-    for rows without tangents.
+    A step with more contacts allocates arrays of its own. sweeps: largest number of sweeps of a solve. friction: as in
+    `StepInput`; None for rows without tangents.
     """
     return StepMemory(
         np.empty((n + 4, 4)), np.empty(sweeps), make_rows(capacity, friction),
@@ -167,7 +169,7 @@ def substep_of(step, segments, substeps=1):
     """
     return StepInput(
         step.bodies, step.box, segments, step.gravity, step.friction, step.restitution, step.dt / substeps,
-        step.substeps * substeps, step.scales, step.motion, step.actuation,
+        step.substeps * substeps, step.scales, step.motion, step.actuation, step.touches,
     )  # fmt: skip
 
 

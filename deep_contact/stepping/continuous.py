@@ -40,6 +40,7 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.stepping.broad_phase import smallest_of, sum_of
+from deep_contact.stepping.pairs import largest_of, pass_through
 from deep_contact.stepping.paths import (
     CARRIED,
     FIRM,
@@ -236,6 +237,8 @@ def find_touch(i, now, paths, swept, queue, actuation):
             count = crossing_paths(i, now, paths, swept)
             for j in range(count):
                 times[j] = touch_circle(i, found[j], now, paths)
+                if pass_through(paths.step.touches, i, found[j]):
+                    times[j] = np.inf
                 first = min(first, times[j])
             for j in range(count):
                 if times[j] <= min(first + TOGETHER, 1.0):
@@ -342,7 +345,7 @@ def end_rate(way, j, time, together, paths, actuation, shifts):
         if yielding[side, 0] > 0.0:
             for axis in range(2):
                 paths.rate[c, axis] += s * paths.inverse[c] * yielding[side, 1 + axis]
-    if paths.step.restitution > 0.0:
+    if largest_of(paths.step.restitution) > 0.0:
         keep_energy(way, j, (1.0 - time) * s, together, paths, actuation, shifts)
 
 

@@ -8,7 +8,10 @@ impulse P_i = L p_i along its normal, with
     p_i = x_i / (1 / (σ_ai m_a) + 1 / (σ_bi m_b)),  σ_ai = x_i / Σ x_j over the contacts j of the cluster at circle a,
     L = (1 + e) Σ p_i x_i / Σ p_i (n_i · u),  u = M⁻¹ Σ p_i n_i.
 
-The factor L has one value for each cluster. In a cluster of a single contact, the impulse gives Newton's law,
+The factor L has one value for each cluster. If e depends on the materials of a pair, (1 + e_i) p_i takes the place of
+p_i, also in u, and L = Σ (1 + e_i)² p_i x_i / Σ (1 + e_i) p_i (n_i · u). This L lies between 1 and 2 times the factor
+that takes the most energy, so that a rebound never adds energy. If all e_i are equal, both forms give one L p_i.
+ In a cluster of a single contact, the impulse gives Newton's law,
 v_n⁺ = −e v_n⁻. Rounds follow one another until no contact approaches any more, or until there are too many rebounds
 (`MOST_STRIKES`).
 
@@ -36,10 +39,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import overload
 
 from deep_contact.compiled import njit
 from deep_contact.stepping.islands import root_of
 from deep_contact.stepping.log import is_asked, work_on
+from deep_contact.stepping.pairs import is_table, is_table_type, largest_of, value_of
 from deep_contact.stepping.rows import arms_of, row_masses
 from deep_contact.stepping.segments import is_moving, surface_velocity, wall_velocity
 
@@ -127,7 +132,7 @@ def rebound(step, contacts, impulse, actuation):
     step, or None.
     """
     work, bodies = 0.0, step.bodies
-    if step.restitution == 0.0:
+    if largest_of(step.restitution) == 0.0:
         return work
     if actuation is None:
         reflect(step, contacts, impulse, actuation)
@@ -162,16 +167,17 @@ def reflect(step, contacts, impulse, actuation):
     N·s; (0, 2) if they are not needed. actuation: `Actuation` of the step, or None. The functions of the stages of a
     round, except `rub`, are inlined, because a call would count references to every array of the step.
     """
-    m, n, floor = contacts.body_a.shape[0], step.bodies.mass.shape[0], floor_of(step)
+    m, n = contacts.body_a.shape[0], step.bodies.mass.shape[0]
+    scale = step.gravity, step.dt, step.scales.restitution_threshold
+    limits = limits_of(largest_of(step.restitution), scale)
     now = Round(
         np.arange(m), np.empty(m), np.empty(m), np.empty(n, np.int64), np.zeros(n + 1), np.empty(n + 1, np.int64),
         np.empty((n, 2)), np.empty((n + 1, 3)), np.zeros(n + 1), impulse,
     )  # fmt: skip
-    slowest = max(SLOWEST, SLOWEST_LOSSY * (1.0 - step.restitution * step.restitution))
     head, following = contacts_of_circles(contacts, n)
     count, strikes = m, 0
     while count > 0 and strikes < max(MOST_STRIKES * m, ALWAYS_STRIKES):
-        struck = approaching(step, contacts, count, now, floor, slowest, actuation)
+        struck = approaching(step, contacts, count, now, scale, limits, actuation)
         circles = join(step.bodies, contacts, struck, now)
         push(step, contacts, struck, circles, now)
         rub(step, contacts, struck, circles, now, step.friction, actuation)
@@ -189,26 +195,65 @@ def reflect(step, contacts, impulse, actuation):
 
 
 @njit(cache=True, error_model="numpy")
-def floor_of(step):
-    """Return (flat, f_x, f_y), m/s, which describe the slowest approach that rebounds (`reflect`).
+def limits_of(e, scale):
+    """Return (flat, f_x, f_y, slowest), which describe the slowest approach that rebounds (`reflect`).
 
-    An approach along the unit normal n rebounds if it is faster than flat and than |f · n|.
+    An approach along the unit normal n rebounds if it is faster than flat, than |f · n|, m/s each, and than `slowest`
+    times the fastest approach at its circles. e: restitution of the contact. scale: gravity, m/s², Δt, s, and
+    `ContactScales.restitution_threshold`, m/s.
     """
-    (g_x, g_y), e = step.gravity, step.restitution
-    gravity, slow = math.hypot(g_x, g_y), (1.0 - e * e) * step.scales.restitution_threshold
+    (g_x, g_y), dt, threshold = scale
+    gravity, slow = math.hypot(g_x, g_y), (1.0 - e * e) * threshold
+    slowest = max(SLOWEST, SLOWEST_LOSSY * (1.0 - e * e))
     if gravity == 0.0:
-        return slow, 0.0, 0.0
-    slow = max(slow, step.dt * gravity)
-    return ACROSS * slow, slow * g_x / gravity, slow * g_y / gravity
+        return slow, 0.0, 0.0, slowest
+    slow = max(slow, dt * gravity)
+    return ACROSS * slow, slow * g_x / gravity, slow * g_y / gravity, slowest
+
+
+def limits_at(restitution, a, b, scale, limits):
+    """Return `limits_of` the pair of bodies a and b. limits: those of the largest e in the scene."""
+    return limits_of(value_of(restitution, a, b), scale) if is_table(restitution) else limits
+
+
+def bounce_of(restitution, a, b):
+    """Return 1 + e of the pair of bodies a and b if e depends on the pair, and otherwise 1."""
+    return 1.0 + value_of(restitution, a, b) if is_table(restitution) else 1.0
+
+
+def bounce_of_all(restitution):
+    """Return 1 + e if all pairs have one e, and otherwise 1, since the sums then contain 1 + e_i already."""
+    return 1.0 if is_table(restitution) else 1.0 + restitution
+
+
+@overload(limits_at)
+def _overload_limits_at(restitution, a, b, scale, limits):
+    if is_table_type(restitution):
+        return lambda restitution, a, b, scale, limits: limits_of(value_of(restitution, a, b), scale)
+    return lambda restitution, a, b, scale, limits: limits
+
+
+@overload(bounce_of)
+def _overload_bounce_of(restitution, a, b):
+    if is_table_type(restitution):
+        return lambda restitution, a, b: 1.0 + value_of(restitution, a, b)
+    return lambda restitution, a, b: 1.0
+
+
+@overload(bounce_of_all)
+def _overload_bounce_of_all(restitution):
+    if is_table_type(restitution):
+        return lambda restitution: 1.0
+    return lambda restitution: 1.0 + restitution
 
 
 @njit(inline="always")
-def approaching(step, contacts, count, now, floor, slowest, actuation):
+def approaching(step, contacts, count, now, scale, limits, actuation):
     """Select the contacts that rebound, in place in `now.near`, and write their x_i = −v_n into `now.approach`.
 
-    A contact rebounds if its bodies approach each other faster than the limit `floor` (`floor_of`), and faster than
-    `slowest` times the fastest approach at its circles in the step so far. count: number of contacts in `now.near`, of
-    which the function selects. Returns the number of contacts that rebound.
+    A contact rebounds if its bodies approach each other faster than the limits (`limits_of`). scale, limits: as in
+    `limits_at`. count: number of contacts in `now.near`, of which the function selects. Returns the number of contacts
+    that rebound.
     """
     # The arrays are unpacked here, because Numba would count references to arrays in tuples in every iteration.
     velocity, mass, fastest, near, approach = (
@@ -218,12 +263,12 @@ def approaching(step, contacts, count, now, floor, slowest, actuation):
         now.near,
         now.approach,
     )
-    body_a, body_b, normal, n, (flat, f_x, f_y) = (
+    body_a, body_b, normal, n, restitution = (
         contacts.body_a,
         contacts.body_b,
         contacts.normal,
         mass.shape[0],
-        floor,
+        step.restitution,
     )
     up_x, up_y = -0.5 * step.dt * step.gravity[0], -0.5 * step.dt * step.gravity[1]
     struck = np.int64(0)  # the literal 0 has a type of its own, for which `rub` would be compiled a second time
@@ -237,6 +282,7 @@ def approaching(step, contacts, count, now, floor, slowest, actuation):
             b_x, b_y = ground_of(step, contacts, i, actuation)
         x = (a_x - b_x) * n_x + (a_y - b_y) * n_y
         if x > 0.0:
+            flat, f_x, f_y, slowest = limits_at(restitution, a, b, scale, limits)
             least = max(slowest * max(fastest[a], fastest[min(b, n)]), flat, abs(f_x * n_x + f_y * n_y))
             least = max(least, ROUNDING * (abs(a_x) + abs(a_y) + abs(b_x) + abs(b_y)), 1e-100)
             if least < x < np.inf and (mass[a] < np.inf or (b < n and mass[b] < np.inf)):
@@ -334,8 +380,9 @@ def push(step, contacts, struck, circles, now):
     for k in range(struck):
         i = now.near[k]
         cluster, w_a, w_b = shared_masses(bodies, contacts, k, now)
-        p = now.push[k] = now.approach[k] / (w_a + w_b)
-        now.sums[cluster, 0] += p * now.approach[k]
+        bounce = bounce_of(step.restitution, contacts.body_a[i], contacts.body_b[i])
+        p = now.push[k] = bounce * (now.approach[k] / (w_a + w_b))
+        now.sums[cluster, 0] += bounce * (p * now.approach[k])
         p_x, p_y = p * contacts.normal[i, 0], p * contacts.normal[i, 1]
         give(now, contacts.body_a[i], min(contacts.body_b[i], n), p_x, p_y)
     for k in range(circles):
@@ -347,7 +394,7 @@ def push(step, contacts, struck, circles, now):
         if now.cluster[c] == c:
             sums = now.sums[c]
             # Impulses that cancel each other change no velocity.
-            sums[0] = (1.0 + step.restitution) * sums[0] / sums[1] if sums[1] > 0.0 else 0.0
+            sums[0] = bounce_of_all(step.restitution) * sums[0] / sums[1] if sums[1] > 0.0 else 0.0
     for k in range(circles):
         c = now.circle[k]
         w = now.sums[now.cluster[c], 0] * inverse_mass(bodies, c)
@@ -373,8 +420,8 @@ def rub(step, contacts, struck, circles, now, friction, actuation):
     """Apply the friction of the normal impulses to the circles, in place on their velocities and spins.
 
     Add all impulses to `now.pair_impulses`. struck: number of contacts that rebound. circles: number of their circles.
-    friction: μ, or None without friction. This function is not inlined, because the compiler leaves the code of
-    friction out only if an argument has the type of None.
+    friction: as in `StepInput`, or None without friction. This function is not inlined, because the compiler leaves the
+    code of friction out only if an argument has the type of None.
     """
     bodies, n = step.bodies, step.bodies.mass.shape[0]
     for k in range(struck):
@@ -383,8 +430,8 @@ def rub(step, contacts, struck, circles, now, friction, actuation):
         if friction is not None:
             arms, row = arms_of(bodies.radius, a, b, contacts.separation[i]), min(b, n)
             _, w_a, w_b = shared_masses(bodies, contacts, k, now)
-            k_t = row_masses(w_a, w_b, arms)[1]
-            p_t = max(-friction * p_n, min(-k_t * slip_of(step, contacts, i, arms, actuation), friction * p_n))
+            k_t, mu = row_masses(w_a, w_b, arms)[1], value_of(friction, a, b)
+            p_t = max(-mu * p_n, min(-k_t * slip_of(step, contacts, i, arms, actuation), mu * p_n))
             give(now, a, row, p_t * n_y, -p_t * n_x)
             now.impulse[a, 2] += arms[0] * p_t
             now.impulse[row, 2] += arms[1] * p_t

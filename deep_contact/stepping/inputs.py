@@ -7,20 +7,43 @@ from __future__ import annotations
 
 import numpy as np
 
+from deep_contact.state.arrays import Bodies
+from deep_contact.state.materials import in_scene
 from deep_contact.state.scales import ContactScales, mean
 from deep_contact.state.state import State
 from deep_contact.stepping.context import Actuation, Motion, StepInput
-from deep_contact.stepping.interface import SolverOptions, entry_of
+from deep_contact.stepping.interface import METHODS, SolverOptions, entry_of
+from deep_contact.stepping.pairs import Rough, barred_pairs, largest_of, pair_property
 from deep_contact.stepping.segment_grid import segments_in_grid
 
 
 def leaves_tangents_out(state: State, solver) -> bool:
     """Return whether a step has no tangent rows.
 
-    It has none if μ = 0, no contact starts from a tangent impulse, and the solver takes the step that solvers share
-    (`interface.register`).
+    It has none if μ = 0 and ρ = 0, no contact starts from a tangent impulse, and the solver takes the step that solvers
+    share (`interface.register`).
     """
-    return state.world.friction == 0 and entry_of(solver).advance is None and not state.contacts.tangent_start.any()
+    world = state.world
+    is_smooth = world.friction == 0.0
+    if not world.is_uniform:
+        is_smooth = not (in_scene(state, world.friction).any() or in_scene(state, world.rolling_friction).any())
+    return is_smooth and entry_of(solver).advance is None and not state.contacts.tangent_start.any()
+
+
+def friction_with_rolling(state: State, solver):
+    """Return `StepInput.friction` of the steps of a solver, with tangent rows.
+
+    Without rolling resistance between the materials of the scene it is a number or a table, and otherwise a `Rough`.
+    solver: options of the solver; None leaves rolling resistance out. Raises ValueError if the solver has none.
+    """
+    friction, rolling = pair_property(state, state.world.friction), pair_property(state, state.world.rolling_friction)
+    if solver is None or largest_of(rolling) == 0.0:
+        return friction
+    if not entry_of(solver).rolls:
+        known = ", ".join(name for name, kind in METHODS.items() if entry_of(kind()).rolls)
+        name = type(solver).__name__
+        raise ValueError(f"rolling_friction: expected 0 for {name}, since only {known} have rolling resistance")
+    return Rough(friction, rolling)
 
 
 UNDIVIDED = SolverOptions()
@@ -30,24 +53,32 @@ UNDIVIDED = SolverOptions()
 def step_input(state: State, solver, scales: ContactScales | None = None) -> StepInput:
     """Return the `StepInput` of the next steps of a state. It shares the state's arrays.
 
+    A table of the world becomes a number if all pairs of the scene have one value.
+
     solver: options of the solver; None stands for rows with tangents, a step without substeps, and the state's own
     scales. scales: `ContactScales`; by default those of the state with the solver's slop.
     """
     world, options = state.world, UNDIVIDED if solver is None else solver
-    friction = None if solver is not None and leaves_tangents_out(state, solver) else world.friction
+    friction, restitution, touches = world.friction, world.restitution, None
+    if not world.is_uniform:
+        friction, touches = friction_with_rolling(state, solver), barred_pairs(state)
+        restitution = pair_property(state, world.restitution)
+    if solver is not None and leaves_tangents_out(state, solver):
+        friction = None
     scales, most = scales_of(state, options) if scales is None else scales, options.motion_parts
     substeps = options.substeps
+    bodies = Bodies(*state.bodies[:6])
     step = StepInput(
-        state.bodies, world.box, None, world.gravity, friction, None, state.dt / substeps, substeps, scales
-    )
+        bodies, world.box, None, world.gravity, friction, None, state.dt / substeps, substeps, scales, touches=touches,
+    )  # fmt: skip
     actuation = actuation_of(state)
-    if most == 1 and not world.segments and world.restitution == 0.0 and actuation is None:
+    if most == 1 and not world.segments and restitution == 0.0 and actuation is None:
         return step
     motion = Motion(most, options.approach * mean(state.bodies.radius)) if most > 1 else Motion(1, 0.0)
     segments = segments_in_grid(world, reach_of(state, scales))
     if world.segment_velocities:
         segments = segments._replace(line=segments.line.copy())
-    return step._replace(segments=segments, restitution=world.restitution, motion=motion, actuation=actuation)
+    return step._replace(segments=segments, restitution=restitution, motion=motion, actuation=actuation)
 
 
 def actuation_of(state: State) -> Actuation | None:

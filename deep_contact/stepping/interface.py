@@ -122,10 +122,11 @@ class Loop(NamedTuple):
 
 
 class Entry(NamedTuple):
-    """A registered solver: the functions `settings` and `advance` of `register`."""
+    """A registered solver: the functions `settings` and `advance` of `register`, and whether it has rolling rows."""
 
     settings: Callable
     advance: Callable | None
+    rolls: bool = False
 
     @property
     def can_sleep(self) -> bool:
@@ -147,19 +148,21 @@ _ENTRIES: dict[type, Entry] = {}
 _LOOPS: dict[type, Loop] = {}
 
 
-def register(options: type, settings: Callable, loops: tuple[Loop, ...], *, advance: Callable | None = None) -> None:
+def register(
+    options: type, settings: Callable, loops: tuple[Loop, ...], *, advance: Callable | None = None, rolls: bool = False
+) -> None:
     """Register a solver under the name of the class of its options.
 
     options: frozen dataclass, a subclass of `SolverOptions`. settings: function of the options -> settings, a
     NamedTuple whose type belongs to one of the loops. loops: the solver's loops. advance: function of the options ->
     function in place of `algorithm.advance`, for a solver with a step of its own. Such a step always has tangent rows,
-    and no island sleeps in it. Raises ValueError if another solver has that name, or if the options are not a subclass
-    of `SolverOptions`.
+    and no island sleeps in it. rolls: whether the solver relaxes the rows of rolling resistance. Raises ValueError if
+    another solver has that name, or if the options are not a subclass of `SolverOptions`.
     """
     expect(issubclass(options, SolverOptions), f"options: expected a subclass of SolverOptions, got {options.__name__}")
     if METHODS.setdefault(options.__name__, options) is not options:
         raise ValueError(f"options: expected a new name, got {options.__name__}, which is {METHODS[options.__name__]}")
-    _ENTRIES[suggesting(options)] = Entry(settings, advance)
+    _ENTRIES[suggesting(options)] = Entry(settings, advance, rolls)
     for loop in loops:
         _LOOPS[loop.settings] = loop
 
@@ -220,9 +223,9 @@ def make_workspace(settings, rows, solver_bodies):
 def relax(settings, rows, friction, solver_bodies, theta, workspace):
     """Relax all contacts, in place, by the loop of the settings.
 
-    Returns (number of sweeps, number of relaxations of a contact). rows: `Rows`. friction: μ, or None for rows without
-    tangents. solver_bodies: (N, 4). theta: buffer for the θ of each sweep, N·s; its length is the largest number of
-    sweeps. workspace: from `make_workspace`.
+    Returns (number of sweeps, number of relaxations of a contact). rows: `Rows`. friction: as in `StepInput`, or None
+    for rows without tangents. solver_bodies: (N, 4). theta: buffer for the θ of each sweep, N·s; its length is the
+    largest number of sweeps. workspace: from `make_workspace`.
     """
     return _relax(type(settings))(settings, rows, friction, solver_bodies, theta, workspace)
 

@@ -20,6 +20,7 @@ from deep_contact.stepping.context import (
 )
 from deep_contact.stepping.interface import entry_of, make_workspace
 from deep_contact.stepping.log import DONE, WORK, StepLog, is_asked, log_impulses, work_on
+from deep_contact.stepping.pairs import is_rough
 from deep_contact.stepping.problem import StepProblem, started
 
 
@@ -86,13 +87,14 @@ class Steps:
     ) -> tuple[Contacts, np.ndarray]:
         """Do as many steps as the log has rows, and fill the log. Bodies move in place.
 
-        problem: contact problem of the only step, if it is built already; the step overwrites it. If circles may sleep
-        or the step is divided, it is ignored, and rows are built anew.
+        problem: contact problem of the only step, if it is built already; the step overwrites it. If circles may sleep,
+        the step is divided or the scene has rolling resistance, it is ignored, and rows are built anew.
         Returns the contacts at the end, in memory that the next call does not overwrite, and `StepLog.pair_impulses`.
         """
         key, before, built = step.friction is None, 0, None
         buffer = self._buffer_of(contacts, key)
-        if problem is not None and self.sleep is None and step.substeps == self._solver.motion_parts == 1:
+        is_one = step.substeps == self._solver.motion_parts == 1 and not is_rough(step.friction)
+        if problem is not None and self.sleep is None and is_one:
             rows, solver_bodies, _, impacts = started(problem, contacts, step.friction)
             built = {"rows": rows, "solver_bodies": solver_bodies, "is_built": True}
             if step.actuation is not None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from deep_contact.state.arrays import Bodies
+from deep_contact.state.materials import at_contacts
 from deep_contact.state.state import State
 from deep_contact.stepping.problem import ContactSolution, after_impacts, contacts_of
 from deep_contact.stepping.segments import ground_velocities
@@ -108,7 +109,7 @@ def residual(state: State, solution: ContactSolution) -> float:
     normal, tangent = row_velocities(state, solution.velocities, solution.angular_velocities)
     k_n, k_t = effective_masses(state)
     p_n, p_t = solution.normal_impulses, solution.tangent_impulses
-    largest = state.world.friction * np.maximum(p_n, 0.0)
+    largest = at_contacts(state, state.world.friction) * np.maximum(p_n, 0.0)
     wrong_n = (p_n - np.maximum(p_n - k_n * normal, 0.0)) / k_n
     wrong_t = (p_t - np.clip(p_t - k_t * tangent, -largest, largest)) / k_t
     return float(max(np.abs(wrong_n).max(), np.abs(wrong_t).max()))

@@ -13,8 +13,10 @@ from deep_contact.compiled import njit
 from deep_contact.state.arrays import LIMITS, Contacts, no_contacts
 from deep_contact.state.checks import check_limits, check_types, with_checked_arrays
 from deep_contact.state.fields import UNIT, make_bodies
+from deep_contact.state.materials import MOST_MATERIALS, expect_in_tables
 from deep_contact.state.state import State, StateWithContacts, changed
 from deep_contact.state.validation import warn
+from deep_contact.stepping.pairs import barred_pairs
 from deep_contact.stepping.problem import contacts_of
 
 _POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
@@ -40,7 +42,9 @@ def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
     check_types(state)
     if not (has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
         state = check_limits(with_checked_arrays(state))
-    elif not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
+    elif not state.world.is_uniform:
+        expect_in_tables("bodies.material", state.bodies.material, state.world.materials)
+    if not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
         check_limits(state)
     if state.contacts is None:
         state = changed(state, contacts=contacts_of(state))
@@ -48,7 +52,7 @@ def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
         _warn_of_outside(state)
     elif state.solved and not (of_step or state.holds_solution):
         state = _at_its_begin(state)
-    return state
+    return state if state.world.touches is True else _without_barred(state)
 
 
 def find_contacts(state: State) -> StateWithContacts:
@@ -83,6 +87,20 @@ def _at_its_begin(state: StateWithContacts) -> StateWithContacts:
         pairs, here = (one.body_a * end + one.body_b for one in (contacts, contacts_of(state)))
         contacts = Contacts(*(values[~later | np.isin(pairs, here)] for values in contacts))
     return state.replace(contacts=contacts)
+
+
+def _without_barred(state: StateWithContacts) -> StateWithContacts:
+    """Return the state without contacts of pairs that pass through each other, as after a change of `World.touches`.
+
+    If there are such contacts, the result is not solved.
+    """
+    (a, b), n, table = state.contacts[:2], state.bodies.count, barred_pairs(state)
+    if table is None:
+        return state
+    stays = table.value[table.material[a], table.material[b]] | ((b >= n) & (b < n + 4))
+    if stays.all():
+        return state
+    return changed(state, contacts=Contacts(*(values[stays] for values in state.contacts)), solved=False)
 
 
 def _warn_of_coincidence(state: StateWithContacts) -> None:
@@ -140,8 +158,12 @@ def is_valid(bodies, contacts, segments=0):
             return False
     if contacts.body_b.shape[0] != m:
         return False
+    if bodies.material.shape[0] != n:
+        return False
     # Loops without branches are vectorised. To leave them early would save nothing, since nearly all states are valid.
     valid, (lightest, heaviest) = True, _MASS
+    for i in range(n):
+        valid &= (bodies.material[i] >= 0) & (bodies.material[i] < MOST_MATERIALS)
     for i in range(n):
         valid &= (lightest <= bodies.mass[i]) & ((bodies.mass[i] <= heaviest) | (bodies.mass[i] == np.inf))
     for i in range(m):

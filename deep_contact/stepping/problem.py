@@ -15,15 +15,17 @@ from deep_contact.compiled import njit
 from deep_contact.state import html
 from deep_contact.state.arrays import Contacts
 from deep_contact.state.equality import by_value
+from deep_contact.state.materials import largest
 from deep_contact.state.scales import ContactScales
 from deep_contact.state.state import State, native
 from deep_contact.stepping.broad_phase import make_cells
 from deep_contact.stepping.contacts import Walls, detect_contacts, make_contacts
 from deep_contact.stepping.convergence import ConvergenceRecord, convergence_record
 from deep_contact.stepping.impacts import rebound
-from deep_contact.stepping.inputs import leaves_tangents_out, reach_of, step_input
+from deep_contact.stepping.inputs import friction_with_rolling, leaves_tangents_out, reach_of, step_input
 from deep_contact.stepping.interface import entry_of, make_workspace, relax
 from deep_contact.stepping.motion import integrate_velocities
+from deep_contact.stepping.pairs import barred_pairs
 from deep_contact.stepping.rows import (
     NORMAL,
     NORMAL_MASS,
@@ -44,9 +46,9 @@ from deep_contact.stepping.segment_grid import segments_in_grid
 def solve_velocities(rows, friction, settings, solver_bodies, theta):
     """Solve the rows of a step, in place on their impulses and on the solver bodies. Returns the number of sweeps.
 
-    rows: `Rows`. friction: μ, or None for rows without tangents. settings: settings of the solver. solver_bodies:
-    velocities before the impulses of the rows, (N, 4). theta: buffer for the θ of each sweep, N·s; its length is the
-    largest number of sweeps.
+    rows: `Rows`. friction: as in `StepInput`, or None for rows without tangents. settings: those of the solver.
+    solver_bodies: velocities before the impulses of the rows, (N, 4). theta: buffer for the θ of each sweep, N·s; its
+    length is the largest number of sweeps.
     """
     apply_impulses(rows, solver_bodies, friction)
     sweeps, _ = relax(settings, rows, friction, solver_bodies, theta, make_workspace(settings, rows, solver_bodies))
@@ -100,7 +102,7 @@ class StepProblem(NamedTuple):
 
     rows: Rows  # with the impulses from which the state starts
     solver_bodies: np.ndarray  # (n + 4 + k, 4), with k contacts of moving segments: after forces, before impulses
-    friction: float | None  # μ, or None if there are no tangent rows (`started`)
+    friction: object  # as in `StepInput`; None if there are no tangent rows (`started`)
     impacts: np.ndarray  # (m, 2): impulses of the impacts on the second bodies of the contacts, N·s; (0, 2) if e = 0
 
 
@@ -110,7 +112,7 @@ def after_impacts(state: State) -> tuple[State, np.ndarray]:
     Only velocities and spins change. The impulses are those of `StepProblem.impacts`. If e = 0 there are no impacts,
     and the state itself is returned.
     """
-    if state.world.restitution == 0.0:
+    if largest(state.world.restitution) == 0.0:
         return state, np.zeros((0, 2))
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy(), spin=state.bodies.spin.copy())
     state, impacts = state.replace(bodies=bodies), np.zeros((state.contacts.count, 2))
@@ -119,25 +121,27 @@ def after_impacts(state: State) -> tuple[State, np.ndarray]:
     return state, impacts
 
 
-def step_problem(state: State, scales: ContactScales | None = None) -> StepProblem:
+def step_problem(state: State, scales: ContactScales | None = None, solver=None) -> StepProblem:
     """Return the contact problem of the next step of a state, with tangent rows.
 
-    scales: `ContactScales` to use; by default those of the state.
+    scales: `ContactScales` to use; by default those of the state. solver: options of a solver, with which the problem
+    has the rows of rolling resistance; None leaves these out.
     """
     state, impacts = after_impacts(state)
     solver_bodies, step = np.empty((state.bodies.count + 4, 4)), step_input(state, None, scales)
     if step.actuation is not None:
         solver_bodies = with_wall_bodies(solver_bodies, state.contacts, state.bodies.count, step.actuation)
+    step = step._replace(friction=friction_with_rolling(state, solver))
     rows = build_rows(step, state.contacts, solver_bodies, step.actuation)
     return StepProblem(rows, solver_bodies, step.friction, impacts)
 
 
-def started(problem: StepProblem, contacts: Contacts, friction: float | None) -> StepProblem:
+def started(problem: StepProblem, contacts: Contacts, friction) -> StepProblem:
     """Return the problem with the starting impulses of these contacts.
 
-    problem: problem with tangent rows. friction: μ, or None for a result without tangent rows.
+    problem: problem with tangent rows. friction: that of the problem, or None for a result without tangent rows.
     """
-    data, impulse = problem.rows.data, np.empty((contacts.count, 2))
+    data, impulse = problem.rows.data, np.zeros((contacts.count, problem.rows.impulse.shape[1]))
     impulse[:, NORMAL], impulse[:, TANGENT] = contacts.normal_start, contacts.tangent_start
     if friction is None:
         data, impulse = data[:, : NORMAL_MASS + 1].copy(), impulse[:, :TANGENT].copy()
@@ -151,7 +155,8 @@ def contacts_of(state: State) -> Contacts:
     mass, n = bodies.mass if bodies.is_fixed.any() else None, bodies.count
     walls, cells = Walls(world.box, scales.wall_skin), make_cells(n)
     buffer = make_contacts(4 * n + 64)
-    found = detect_contacts(bodies.position, bodies.radius, mass, walls, segments, cells, buffer)
+    touches = barred_pairs(state)
+    found = detect_contacts(bodies.position, bodies.radius, mass, walls, segments, touches, cells, buffer)
     # The first five arrays are copied, since they lie in a larger buffer. The four arrays of impulses are set to zero.
     return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
 
@@ -163,13 +168,15 @@ def solve(
 
     If e > 0, impacts come first. The velocities of the solution include their effect, but its impulses do not include
     those of the impacts. solver: options of the solver. normal_start, tangent_start: starting λ_n and λ_t, (m,) each,
-    N·s. problem: `step_problem(state)` if it has been built already; it is not changed.
+    N·s. problem: `step_problem(state)` if it has been built already; it is not changed, and without its rows the solve
+    has no rolling resistance.
     """
     solver = solver.for_state(state)
     settings, n = entry_of(solver).settings(solver), state.bodies.count
     state = state.replace(contacts=state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start))
-    friction = None if leaves_tangents_out(state, solver) else state.world.friction
-    rows, solver_bodies, *_ = started(problem or step_problem(state), state.contacts, friction)
+    problem = problem or step_problem(state, solver=solver)
+    friction = None if leaves_tangents_out(state, solver) else problem.friction
+    rows, solver_bodies, *_ = started(problem, state.contacts, friction)
     # Copies, because the solver scales the effective masses in place.
     rows, solver_bodies, theta = rows._replace(data=rows.data.copy()), solver_bodies.copy(), np.empty(solver.sweeps)
     sweeps = solve_velocities(rows, friction, settings, solver_bodies, theta)

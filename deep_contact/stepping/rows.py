@@ -7,6 +7,14 @@ Both rows can be relaxed from velocities that are read once.
 If l is the arm of a body of radius r, its surface moves tangentially at ω l = (l / r) s, with s = ω r. The engine
 stores s in place of ω: for a disc (I = m r² / 2) an impulse λ_t changes s by 2 (l / r) λ_t / m, whatever its radius.
 
+If μ depends on the materials of a pair, `friction` is a `PairTable`, and each row has its own μ in a column of its own
+(`friction_of`).
+
+Rolling resistance adds a third row to each contact: a torque impulse λ_r with |λ_r| ≤ ρ λ_n against the difference of
+the two spins (elastic-plastic models reduce to this for rigid contacts: Ai, Chen, Rotter and Ooi, Powder Technology
+206, 2011, type A). Then `friction` is a `Rough`. λ_r is not carried from step to step: `start_rolling` finds it anew
+from the other impulses.
+
 Without friction no impulse rotates a circle. If `friction` is None instead of a number, every function here leaves the
 tangent rows out. For Numba, None has a type of its own. So the choice is made when the caller is compiled, and costs no
 time in a sweep. The result has the same bits as with μ = 0. A start with tangent impulses needs rows with tangents.
@@ -20,8 +28,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from numba.extending import overload
 
 from deep_contact.compiled import njit
+from deep_contact.stepping.pairs import is_rough, is_rough_type, is_table, is_table_type, value_of
 from deep_contact.stepping.segments import is_moving, surface_velocity, wall_velocity
 
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
@@ -35,20 +45,24 @@ segment, with the segment's velocity at this contact (`move_walls`)."""
 BODY_A, BODY_B = range(2)
 """Columns of `Rows.body`: the two bodies of a contact."""
 
-N_X, N_Y, NORMAL_MASS, TANGENT_MASS, ARM_A, ARM_B = range(6)
+N_X, N_Y, NORMAL_MASS, TANGENT_MASS, ARM_A, ARM_B, FRICTION, ROLLING, ROLL_MASS, TURN_A, TURN_B = range(11)
 """Columns of `Rows.data`: unit normal; effective masses of the normal and the tangent row, kg; arm over radius of each
-body."""
+body; μ, only if it depends on the pair. With rolling resistance also ρ, m; effective inertia of the rolling row, kg·m²;
+1 / radius of each body, 1/m, 0 for a wall."""
 
-NORMAL, TANGENT = range(2)
-"""Columns of `Rows.impulse`: λ_n and λ_t, N·s."""
+NORMAL, TANGENT, ROLL = range(3)
+"""Columns of `Rows.impulse`: λ_n and λ_t, N·s; with rolling resistance λ_r, N·m·s."""
+
+ROLLING_STARTS = 10
+"""Number of sweeps over the rolling rows alone before the sweeps over all rows (`start_rolling`)."""
 
 
 class Rows(NamedTuple):
     """The rows of m contacts. All numbers of one contact lie side by side, so that a sweep reads memory in order."""
 
     body: np.ndarray  # (m, 2): indices of two solver bodies: `BODY_A`, `BODY_B`
-    data: np.ndarray  # (m, 6): `N_X` to `ARM_B`; without friction (m, 3): `N_X` to `NORMAL_MASS`
-    impulse: np.ndarray  # (m, 2): λ_n and λ_t, N·s: `NORMAL`, `TANGENT`; without friction (m, 1): λ_n
+    data: np.ndarray  # (m, 6): `N_X` to `ARM_B`; (m, 7) with μ; (m, 11) with rolling; (m, 3) without friction
+    impulse: np.ndarray  # (m, 2): `NORMAL`, `TANGENT`; (m, 3) with rolling; without friction (m, 1): λ_n
 
 
 CONTRACT = {"contract"}
@@ -59,13 +73,171 @@ SUMS = {"contract", "reassoc"}
 
 
 def make_rows(capacity, friction):
-    """Return uninitialised rows for `capacity` contacts. friction: None for rows without tangents."""
-    columns, kinds = (3, 1) if friction is None else (6, 2)
+    """Return uninitialised rows for `capacity` contacts.
+
+    friction: as in `StepInput`; None for rows without tangents.
+    """
+    columns, kinds = (3, 1) if friction is None else sizes_of(friction)
     return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, columns)), np.empty((capacity, kinds)))
+
+
+def sizes_of(friction) -> tuple[int, int]:
+    """Return the numbers of columns of `Rows.data` and `Rows.impulse` with tangents. friction: as in `StepInput`."""
+    return (11, 3) if is_rough(friction) else (7, 2) if is_table(friction) else (6, 2)
+
+
+@overload(sizes_of)
+def _overload_sizes_of(friction):
+    if is_rough_type(friction):
+        return lambda friction: (11, 3)
+    return (lambda friction: (7, 2)) if is_table_type(friction) else (lambda friction: (6, 2))
 
 
 more_rows = njit(cache=True)(make_rows)
 """`make_rows`, compiled, for compiled callers."""
+
+
+def friction_of(friction, data, i):
+    """Return μ of row i. friction: as in `StepInput`. data: `Rows.data`."""
+    return data[i, FRICTION] if is_table(friction) else value_of(friction, 0, 0)
+
+
+def write_friction(friction, rows, i, bodies, inverse_masses, radius) -> None:
+    """Write into row i, in place, what it needs of a table of μ and of rolling resistance. λ_r becomes 0.
+
+    friction: as in `StepInput`. bodies: indices (a, b) as in `Contacts`. inverse_masses: of both, 1/kg. radius: (n,),
+    m.
+    """
+    if is_table(friction):
+        rows.data[i, FRICTION] = value_of(friction, *bodies)
+    if is_rough(friction):
+        write_rolling(friction.rolling, rows, i, bodies, inverse_masses, radius)
+
+
+def relax_rolling(friction, body, data, impulse, i, v, spin, inverse_masses, largest):
+    """Relax the rolling row i, if there is one (`roll`). Returns s of the first body, and the largest change so far.
+
+    The fields of `Rows` are arguments of their own, since Numba would count references to arrays in a tuple.
+    """
+    if is_rough(friction):
+        return roll(body, data, impulse, i, v, spin, inverse_masses, largest)
+    return spin, largest
+
+
+def scale_rolling(friction, rows, i, omega) -> None:
+    """Multiply the effective inertia of the rolling row i by ω, in place, if there is such a row."""
+    if is_rough(friction):
+        rows.data[i, ROLL_MASS] *= omega
+
+
+def start_rolling(friction, rows, v) -> None:
+    """Do `ROLLING_STARTS` sweeps over the rolling rows alone, if there are any, in place.
+
+    Only λ_r and the spins change. In a pile at rest, the torques of friction are then in balance before the first sweep
+    over all rows.
+    """
+    if is_rough(friction):
+        roll_all(rows, v)
+
+
+@njit(cache=True, error_model="numpy")
+def write_rolling(rolling, rows, i, bodies, inverse_masses, radius):
+    """Write the columns of rolling resistance into row i, in place. Arguments as in `write_friction`."""
+    (a, b), (w_a, w_b), data = bodies, inverse_masses, rows.data
+    turn_a, turn_b = 1.0 / radius[a], 1.0 / radius[b] if b < radius.shape[0] else 0.0
+    data[i, ROLLING], data[i, TURN_A], data[i, TURN_B] = value_of(rolling, a, b), turn_a, turn_b
+    data[i, ROLL_MASS] = 0.5 / (w_a * turn_a * turn_a + w_b * turn_b * turn_b)
+    rows.impulse[i, ROLL] = 0.0
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def roll(body, data, impulse, i, v, spin, inverse_masses, largest):
+    """Relax the rolling row i: λ_r against the difference ω_b − ω_a of the spins, clamped to ±ρ λ_n.
+
+    The change of λ_r is −k (ω_b − ω_a), where k is the effective inertia. s of the second body changes in place. spin:
+    s of the first body, m/s. inverse_masses: of both bodies, 1/kg. Returns the new s of the first body, m/s, and the
+    larger of `largest` and the change of λ_r over the smaller radius, N·s.
+    """
+    b, (w_a, w_b) = body[i, BODY_B], inverse_masses
+    turn_a, turn_b = data[i, TURN_A], data[i, TURN_B]
+    old, bound = impulse[i, ROLL], data[i, ROLLING] * max(impulse[i, NORMAL], 0.0)
+    free = data[i, ROLL_MASS] * (turn_a * spin - turn_b * v[b, V_S])
+    p = max(-bound - old, min(free, bound - old))
+    impulse[i, ROLL] = old + p
+    v[b, V_S] += 2.0 * w_b * turn_b * p
+    return spin - 2.0 * w_a * turn_a * p, max(largest, abs(p) * max(turn_a, turn_b))
+
+
+@njit(cache=True)
+def roll_all(rows, v):
+    """Do the sweeps of `start_rolling`, in place."""
+    for _ in range(ROLLING_STARTS):
+        for i in range(rows.body.shape[0]):
+            a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
+            masses = v[a, INVERSE_MASS], v[b, INVERSE_MASS]
+            v[a, V_S], _ = roll(rows.body, rows.data, rows.impulse, i, v, v[a, V_S], masses, 0.0)
+
+
+@overload(friction_of)
+def _overload_friction_of(friction, data, i):
+    if is_table_type(friction):
+        return lambda friction, data, i: data[i, FRICTION]
+    if is_rough_type(friction):
+        return lambda friction, data, i: friction.friction
+    return lambda friction, data, i: friction
+
+
+@overload(write_friction)
+def _overload_write_friction(friction, rows, i, bodies, inverse_masses, radius):
+    def nothing(friction, rows, i, bodies, inverse_masses, radius):
+        pass
+
+    def of_table(friction, rows, i, bodies, inverse_masses, radius):
+        rows.data[i, FRICTION] = value_of(friction, bodies[0], bodies[1])
+
+    def of_rolling(friction, rows, i, bodies, inverse_masses, radius):
+        write_rolling(friction.rolling, rows, i, bodies, inverse_masses, radius)
+
+    def of_both(friction, rows, i, bodies, inverse_masses, radius):
+        rows.data[i, FRICTION] = value_of(friction, bodies[0], bodies[1])
+        write_rolling(friction.rolling, rows, i, bodies, inverse_masses, radius)
+
+    choices = {(False, False): nothing, (True, False): of_table, (False, True): of_rolling, (True, True): of_both}
+    return choices[is_table_type(friction), is_rough_type(friction)]
+
+
+@overload(relax_rolling)
+def _overload_relax_rolling(friction, body, data, impulse, i, v, spin, inverse_masses, largest):
+    def relax(friction, body, data, impulse, i, v, spin, inverse_masses, largest):
+        return roll(body, data, impulse, i, v, spin, inverse_masses, largest)
+
+    def keep(friction, body, data, impulse, i, v, spin, inverse_masses, largest):
+        return spin, largest
+
+    return relax if is_rough_type(friction) else keep
+
+
+@overload(scale_rolling)
+def _overload_scale_rolling(friction, rows, i, omega):
+    if is_rough_type(friction):
+
+        def scale(friction, rows, i, omega):
+            rows.data[i, ROLL_MASS] *= omega
+
+        return scale
+    return lambda friction, rows, i, omega: None
+
+
+@overload(start_rolling)
+def _overload_start_rolling(friction, rows, v):
+    if is_rough_type(friction):
+        return lambda friction, rows, v: roll_all(rows, v)
+    return lambda friction, rows, v: None
+
+
+def frictions(rows: Rows, friction) -> float | np.ndarray:
+    """Return μ of the rows for Python: one number, or the number of each row, (m,). friction: as in `StepInput`."""
+    return rows.data[:, FRICTION] if is_table(friction) else value_of(friction, 0, 0)
 
 
 @njit(inline="always")
@@ -90,7 +262,7 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, sh
 
     The rows are views of `buffer`, which is a `Rows`, or of a larger one. Effective masses are 1 / (J M⁻¹ Jᵀ). If
     segments move, `move_walls` has to follow. radius: (n,), m. segments: `Segments`, or None. solver_bodies: (N, 4),
-    with inverse masses. friction: μ, or None for rows without tangents.
+    with inverse masses. friction: as in `StepInput`, or None for rows without tangents.
     """
     v, m, last = solver_bodies, contacts.body_a.shape[0], radius.shape[0] + 3
     if m > buffer.body.shape[0]:
@@ -108,6 +280,8 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, sh
             masses = row_masses(v[a, INVERSE_MASS], v[b, INVERSE_MASS], arms)
             rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS] = masses
             rows.data[i, ARM_A], rows.data[i, ARM_B] = arms
+            pair = contacts.body_a[i], contacts.body_b[i]
+            write_friction(friction, rows, i, pair, (v[a, INVERSE_MASS], v[b, INVERSE_MASS]), radius)
             rows.impulse[i, TANGENT] = share * contacts.tangent_start[i]
     if friction is not None:
         if segments is not None:
@@ -180,13 +354,17 @@ def move_walls(contacts, segments, solver_bodies, rows, n, actuation):
 
 @njit(cache=True)
 def apply_impulses(rows, solver_bodies, friction):
-    """Apply the starting impulses of the rows to the velocities of the solver bodies, in place: v ← v + M⁻¹ Jᵀ λ."""
+    """Apply the starting impulses of the rows to the velocities of the solver bodies, in place: v ← v + M⁻¹ Jᵀ λ.
+
+    Rolling rows start from λ_r = 0 (`start_rolling`).
+    """
     arms, p_t = (0.0, 0.0), 0.0
     for i in range(rows.body.shape[0]):
         normal, p_n = (rows.data[i, N_X], rows.data[i, N_Y]), rows.impulse[i, NORMAL]
         if friction is not None:
             arms, p_t = (rows.data[i, ARM_A], rows.data[i, ARM_B]), rows.impulse[i, TANGENT]
         apply_impulse(solver_bodies, rows.body[i, BODY_A], rows.body[i, BODY_B], normal, arms, (p_n, p_t))
+    start_rolling(friction, rows, solver_bodies)
 
 
 @njit(cache=True)
@@ -213,7 +391,7 @@ def sweep(rows, friction, solver_bodies):
 
     Every contact relaxes its friction row, clamped to ±μ times its present normal impulse, and its normal row, clamped
     at 0 (Box2D's order; Algorithm 1 of the thesis for the normal rows). θ = max over all rows of |λ_k − λ_{k−1}|, where
-    k counts the sweeps. friction: μ, or None for rows without tangents. solver_bodies: (N, 4).
+    k counts the sweeps. friction: as in `StepInput`, or None for rows without tangents. solver_bodies: (N, 4).
     """
     v = solver_bodies
     body, data, impulse = rows.body, rows.data, rows.impulse
@@ -237,11 +415,14 @@ def sweep(rows, friction, solver_bodies):
         free_n = 0.0 - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
         p_n = max(free_n, -old_n)
         largest = abs(p_n)
+        if friction is not None:
+            # The rolling row, if there is one, is relaxed first. Its bound is ρ times the present λ_n.
+            a_s, largest = relax_rolling(friction, body, data, impulse, i, v, a_s, (w_a, w_b), largest)
         impulse[i, NORMAL] = old_n + p_n
         if friction is not None:
             # The change of λ_t along t = (n_y, −n_x), clamped to Coulomb's bounds.
             b_s, k_t, arm_a, arm_b = v[b, V_S], data[i, TANGENT_MASS], data[i, ARM_A], data[i, ARM_B]
-            old_t, bound = impulse[i, TANGENT], friction * max(old_n, 0.0)
+            old_t, bound = impulse[i, TANGENT], friction_of(friction, data, i) * max(old_n, 0.0)
             x_t, y_t = k_t * n_y, k_t * n_x
             free_t = -(k_t * arm_b) * b_s - x_t * b_x + y_t * b_y + x_t * a_x - y_t * a_y - k_t * arm_a * a_s
             p_t = max(-bound - old_t, min(free_t, bound - old_t))
@@ -268,7 +449,7 @@ def sweep(rows, friction, solver_bodies):
 @njit(cache=True)
 def store_impulses(rows, contacts, substeps):
     """Write the solved impulses of a substep, times the number of substeps, into the contacts, in place."""
-    last = rows.impulse.shape[1] - 1
+    last = min(rows.impulse.shape[1] - 1, TANGENT)
     for i in range(rows.body.shape[0]):
         contacts.normal_impulse[i] = substeps * rows.impulse[i, NORMAL]
         contacts.tangent_impulse[i] = substeps * rows.impulse[i, last] if last else 0.0

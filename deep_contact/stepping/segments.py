@@ -22,6 +22,7 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.state.constants import NEARLY
+from deep_contact.stepping.pairs import pass_through
 from deep_contact.stepping.segment_grid import (
     _ROUNDING,
     BEHIND,
@@ -103,12 +104,14 @@ def ground_velocities(contacts, world, n):
 
 
 @njit(cache=True, error_model="numpy")
-def touches(segments, box, s, x, y, reach):
-    """Return whether a circle with its centre at (x, y) has a contact with segment s.
+def touches(segments, box, i, s, x, y, reach, barred):
+    """Return whether circle i with its centre at (x, y) has a contact with segment s, if all pairs touch.
 
     It has one if the segment is at most `reach`, m, from the centre, and its nearest point is not a hidden end. An end
     is hidden if a wall, or another segment that is at least as near, has the contact in its place. Of two ends that are
-    equally near, that of the segment with the smaller index is not hidden. box: that of the `World`.
+    equally near, that of the segment with the smaller index is not hidden. A segment through which the circle passes
+    hides no end. box: that of the `World`. barred: `StepInput.touches`, and the number n + 4 to which the index of a
+    segment is added.
     """
     line = segments.line
     segment = line[s]
@@ -125,7 +128,7 @@ def touches(segments, box, s, x, y, reach):
     if min(e_x - box[0], e_y - box[1], box[2] - e_x, box[3] - e_y) <= ON * reach:
         return False
     for k in segments.hiding[segments.first[end] : segments.first[end + 1]]:
-        if hides(line[k], e_x, e_y, x, y, reach):
+        if hides(line[k], e_x, e_y, x, y, reach) and not pass_through(barred[0], i, barred[1] + k):
             other = segment_gap(line[k], x, y)[0]
             if other < gap or (other == gap and k < s) or nearest_part(line[k], x, y) == BESIDE:
                 return False
@@ -149,18 +152,18 @@ def hides(segment, e_x, e_y, x, y, reach):
 
 
 @njit(cache=True)
-def insert_pairs(position, radius, walls, segments, body_a, body_b, m):
+def insert_pairs(position, radius, walls, segments, barred, body_a, body_b, m):
     """Insert the touching pairs of circles and segments into `body_a` and `body_b`, in place.
 
-    Their first m pairs are sorted by (body_a, body_b), and stay so with the new ones. Returns the new number of pairs,
-    or -1 if they do not fit.
+    Their first m pairs are sorted by (body_a, body_b), and stay so with the new ones. barred: `StepInput.touches`.
+    Returns the new number of pairs, or -1 if they do not fit.
     """
     n, end = position.shape[0], m
     circles = np.empty(n, np.int64)
     for i in circles[: circles_beside(segments, position, position, circles)]:
         x, y = position[i, 0], position[i, 1]
         for s in near_box(segments, x, x, y, y, segments.every):
-            if touches(segments, walls.box, s, x, y, NEARLY * (radius[i] + walls.skin)):
+            if touches(segments, walls.box, i, s, x, y, NEARLY * (radius[i] + walls.skin), (barred, n + 4)):
                 if end == body_a.shape[0]:
                     return -1
                 body_a[end], body_b[end] = i, n + 4 + s
@@ -179,17 +182,19 @@ def insert_pairs(position, radius, walls, segments, body_a, body_b, m):
 
 
 @njit(cache=True, error_model="numpy")
-def first_crossing(segments, x, y, to_x, to_y, buffer, actuation):
+def first_crossing(segments, i, x, y, to_x, to_y, buffer, barred, actuation):
     """Return at which share of the straight path from (x, y) to (to_x, to_y) it first crosses a segment at rest.
 
-    Returns infinity if it crosses none. buffer: (S,), overwritten. actuation: `Actuation` of the step, or None.
+    Segments through which circle i passes do not count. Returns infinity if it crosses none. buffer: (S,), overwritten.
+    barred: see `touches`. actuation: `Actuation` of the step, or None.
     """
     first = math.inf
     for s in near_box(segments, min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y), buffer):
         if actuation is not None:
             if is_moving(actuation.wall, s):
                 continue
-        first = min(first, crossing(segments.line[s], x, y, to_x, to_y))
+        if not pass_through(barred[0], i, barred[1] + s):
+            first = min(first, crossing(segments.line[s], x, y, to_x, to_y))
     return first
 
 
@@ -243,31 +248,33 @@ def may_cross(bodies, before, solved):
 
 
 @njit(cache=True)
-def clamp_beside(bodies, before, segments, actuation):
+def clamp_beside(bodies, before, segments, touches, actuation):
     """Move centres that have crossed a segment at rest back to their side, in place.
 
     The new place is half-way from the old position to the crossing. before: positions at the start of the substep, (n,
     2), m. A centre crosses a segment only if it is pressed harder than the sweeps and position correction can
-    withstand.
+    withstand. touches: `StepInput.touches`.
     """
+    barred = touches, bodies.mass.shape[0] + 4
     position, buffer, circles = bodies.position, np.empty_like(segments.every), np.empty(len(before), np.int64)
     for i in circles[: circles_beside(segments, before, position, circles)]:
         x, y = before[i, 0], before[i, 1]
-        share = 0.5 * first_crossing(segments, x, y, position[i, 0], position[i, 1], buffer, actuation)
+        share = 0.5 * first_crossing(segments, i, x, y, position[i, 0], position[i, 1], buffer, barred, actuation)
         if share <= 0.5:
             to_x, to_y = x + share * (position[i, 0] - x), y + share * (position[i, 1] - y)
             # If rounding puts the new place on the other side, the centre stays at its old position.
-            stays = first_crossing(segments, x, y, to_x, to_y, buffer, actuation) <= 1.0
+            stays = first_crossing(segments, i, x, y, to_x, to_y, buffer, barred, actuation) <= 1.0
             position[i, 0], position[i, 1] = (x, y) if stays else (to_x, to_y)
 
 
 @njit(cache=True, error_model="numpy")
-def clamp_beside_moving(bodies, before, segments, solved, actuation, dt):
+def clamp_beside_moving(bodies, before, segments, solved, touches, actuation, dt):
     """Do `clamp_beside` for the moving segments, in place, after they have moved for Δt.
 
     A segment passes over a centre that it crosses if the circle had no contact with it, or was fast relative to it
-    (`continuous`). before: positions at the start of Δt, (n, 2), m. solved: contacts at these positions. dt: Δt, s.
-    Returns (whether a centre has changed, index of a circle over which a segment passes, or −1).
+    (`continuous`). before: positions at the start of Δt, (n, 2), m. solved: contacts at these positions. touches:
+    `StepInput.touches`. dt: Δt, s. Returns (whether a centre has changed, index of a circle over which a segment
+    passes, or −1).
     """
     position, line, n = bodies.position, segments.line, bodies.mass.shape[0]
     changed, passed = False, np.int64(-1)
@@ -275,7 +282,7 @@ def clamp_beside_moving(bodies, before, segments, solved, actuation, dt):
         for i in range(n):
             x, y = carried(line, actuation.wall, s, dt, before[i, 0], before[i, 1])
             share = 0.5 * crossing(line[s], x, y, position[i, 0], position[i, 1])
-            if share > 0.5 or bodies.mass[i] == math.inf:
+            if share > 0.5 or bodies.mass[i] == math.inf or pass_through(touches, i, n + 4 + s):
                 continue
             m_x, m_y = position[i, 0] - x, position[i, 1] - y
             if not touched(solved, i, n + 4 + s) or m_x * m_x + m_y * m_y > 0.25 * bodies.radius[i] ** 2:

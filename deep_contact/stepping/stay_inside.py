@@ -51,26 +51,26 @@ def clamp_to_box(bodies, walls, solved):
 
 
 @njit(cache=True)
-def clamp_inside(bodies, before, walls, segments, solved, actuation, dt):
+def clamp_inside(bodies, before, walls, segments, solved, touches, actuation, dt):
     """Clamp centres to the inside of the box and to their side of segments, in place (`clamp_to_box`, `clamp_beside`).
 
     before: positions at the start of the substep, (n, 2), m, from `positions_before`; read only if there are segments.
-    solved: contacts at those positions. actuation: `Actuation` of the substep, or None. dt: Δt of the substep, s.
-    Returns the index of a circle over which a moving segment passes, or −1.
+    solved: contacts at those positions. touches: `StepInput.touches`. actuation: `Actuation` of the substep, or None.
+    dt: Δt of the substep, s. Returns the index of a circle over which a moving segment passes, or −1.
     """
     passed = np.int64(-1)
     if any_outside(bodies.position, walls.box):
         clamp_to_box(bodies, walls, solved)
     if segments is not None:
         if segments.line.shape[0] > 0 and may_cross(bodies, before, solved):
-            clamp_beside(bodies, before, segments, actuation)
+            clamp_beside(bodies, before, segments, touches, actuation)
     if actuation is not None:
         # Bodies at rest are treated last, so that they have priority over moving ones. `clamp_beside` moves a centre to
         # a point between two points in the box, which lies in the box too.
-        changed, passed = clamp_beside_moving(bodies, before, segments, solved, actuation, dt)
+        changed, passed = clamp_beside_moving(bodies, before, segments, solved, touches, actuation, dt)
         if any_outside(bodies.position, walls.box):
             clamp_to_box(bodies, walls, solved)
             changed = True
         if changed:
-            clamp_beside(bodies, before, segments, actuation)
+            clamp_beside(bodies, before, segments, touches, actuation)
     return passed

@@ -21,6 +21,7 @@ from deep_contact.state.arrays import WALL_NORMALS
 from deep_contact.stepping.broad_phase import circles_around, refresh_list, sort_into_cells, sum_of
 from deep_contact.stepping.contacts import wall_gap
 from deep_contact.stepping.context import substep_of
+from deep_contact.stepping.pairs import largest_of
 from deep_contact.stepping.segment_grid import is_free, near_box, segment_gap
 from deep_contact.stepping.segments import wall_velocity
 
@@ -49,7 +50,7 @@ def fly_on(context, change, log, actuation):
     `StepLog`. actuation: `Actuation` of the step, or None.
     """
     step = context.step
-    if context.substep.substeps > step.substeps and step.restitution > 0.0:
+    if context.substep.substeps > step.substeps and largest_of(step.restitution) > 0.0:
         shift_flights(step.bodies, context.contacts, step.gravity, change, actuation, log.shifts)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.state.arrays import WALL_NORMALS
 from deep_contact.stepping.contacts import wall_gap
+from deep_contact.stepping.pairs import pass_through
 from deep_contact.stepping.paths import FIRM, FREE, place_at
 from deep_contact.stepping.segment_grid import BESIDE, ON, START, cells_of_box, segment_gap
 from deep_contact.stepping.segments import carried, crossing, hides, is_moving, time_to_touch
@@ -105,6 +106,9 @@ def touch_segment(i, s, now, paths, actuation):
 
     The time is in units of the step. actuation: `Actuation` of the step, or None for a segment at rest.
     """
+    behind, barred = paths.since.shape[0] + 4, paths.step.touches
+    if pass_through(barred, i, behind + s):
+        return np.inf
     line, box, radius, rest = paths.segments.line, paths.step.box, paths.step.bodies.radius[i], 1.0 - now
     reach, (start_x, start_y) = radius + paths.step.scales.wall_skin, (paths.start[i, 0], paths.start[i, 1])
     (x, y), (m_x, m_y) = piece_beside(i, s, now, paths, actuation)
@@ -127,7 +131,7 @@ def touch_segment(i, s, now, paths, actuation):
         end, column = 2 * s + part - START, 2 * (part - START)
         e_x, e_y, hiding, first = line[s, column], line[s, column + 1], paths.segments.hiding, paths.segments.first
         for k in hiding[first[end] : first[end + 1]]:
-            if hides(line[k], e_x, e_y, x, y, reach):
+            if hides(line[k], e_x, e_y, x, y, reach) and not pass_through(barred, i, behind + k):
                 least = min(least, segment_gap(line[k], start_x, start_y)[0], segment_gap(line[k], x, y)[0])
         for wall in range(4):
             if wall_gap(e_x, e_y, box, wall) <= ON * reach:

@@ -29,6 +29,7 @@ from deep_contact.solvers import PGS
 from deep_contact.sph.start import Sph, solved_impulses
 from deep_contact.starts.names import Start, WarmStart, warm_start_of
 from deep_contact.state import constants
+from deep_contact.state.materials import at_contacts
 from deep_contact.state.state import State, StateWithContacts
 from deep_contact.state.validation import flag, list_of, number, one_of
 from deep_contact.stepping.convergence import mean_theta
@@ -203,7 +204,7 @@ class RoundedCopy:
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         one = lambda impulse: float(f"{impulse:.{self.digits - 1}e}")  # noqa: E731
         normal, tangent = (np.array([*map(one, impulses)]) for impulses in solved_impulses(state, solver))
-        return projected(normal, tangent, state.world.friction)
+        return projected(normal, tangent, at_contacts(state, state.world.friction))
 
 
 def start_of(description) -> WarmStart:

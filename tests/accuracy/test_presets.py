@@ -189,6 +189,15 @@ def test_a_preset_out_of_reach_is_said(study, monkeypatch):
         (dc.lattice_in_box(200, radius=(0.1, 1.0)), r"radii that differ 9\.\d+ times; it has up to 3"),
         (dc.circles_in_box(50, friction=0.9), r"friction 0\.9; it has 0 and 0\.5"),
         (dc.circles_in_box(50, restitution=0.9), r"restitution 0\.9; it has 0, 0\.3 and 0\.8"),
+        (
+            dc.circles_in_box(50, friction=[[0.5, 0.1], [0.1, 0.5]], wall_materials=[1] * 4),
+            r"friction from 0\.1 to 0\.5 between pairs; it has 0 and 0\.5",
+        ),
+        (
+            dc.circles_in_box(50, restitution=[[0.0, 0.8], [0.8, 0.0]], wall_materials=[0, 1, 0, 1]),
+            r"restitution from 0 to 0\.8 between pairs; it has 0, 0\.3 and 0\.8",
+        ),
+        (dc.circles_in_box(50, rolling_friction=0.2), r"rolling resistance of up to 0\.2 m; it has none"),
         (dc.drifting_circles(50), "50 circles of the kind gas"),
         (dc.column(4), "4 circles; it has 100 to 1,000"),
     ],

@@ -22,7 +22,7 @@ def scene(**options):
 
 def test_numbers_of_three_circles_by_hand():
     found = scene_numbers(scene(friction=0.3, restitution=0.2, dt=0.02))
-    assert found[:6] == (3, 0.02, 9.81, 0.3, 0.2, False)
+    assert found[:9] == (3, 0.02, 9.81, 0.3, 0.3, 0.2, 0.2, 0.0, False)
     assert (found.still, found.moving) == (0, 0)
     assert found.radius == pytest.approx(3.5 / 3.0)
     assert (found.radius_ratio, found.lightest, found.mass_ratio) == (4.0, 1.0, 8.0)
@@ -87,6 +87,15 @@ def test_a_fixed_circle_is_counted_and_may_be_the_fastest_and_is_in_no_other_num
     assert (found.count, found.radius, found.fastest) == (4, pytest.approx(1.5), pytest.approx(10.0))
     pegs = dc.make_bodies([[15.0, 25.0], [3.0, 20.0]], fixed=True)
     assert scene_numbers(plain.with_bodies(add=pegs)).fastest == pytest.approx(5.0)
+
+
+def test_tables_give_the_range_of_the_pairs_that_can_form():
+    table = np.array([[0.2, 0.3, 0.9], [0.3, 0.7, 0.8], [0.9, 0.8, 0.1]])
+    found = scene_numbers(scene(friction=table, restitution=0.5 * table, material=[0, 0, 1]))
+    assert (found.friction, found.most_friction) == (0.2, 0.7)
+    assert (found.restitution, found.most_restitution) == (0.1, 0.35)
+    walls = scene_numbers(scene(friction=table, rolling_friction=table, wall_materials=[2, 0, 0, 0]))
+    assert (walls.friction, walls.most_friction, walls.rolling) == (0.2, 0.9, 0.9)
 
 
 def test_no_circles_have_numbers():

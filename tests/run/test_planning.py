@@ -47,6 +47,10 @@ def test_a_start_with_tangents_keeps_the_rows():
     )
     assert dc.plan(FREE, solver=dc.PGS())[TANGENT] == (False, "friction is 0")
     assert dc.plan(dc.column(3, friction=0.25), solver=dc.PGS())[TANGENT] == (True, "friction is 0.25")
+    table = dc.column(3, friction=[[0.0, 0.4], [0.4, 0.0]], wall_materials=[1] * 4)
+    assert dc.plan(table, solver=dc.PGS())[TANGENT] == (True, "friction is 0 to 0.4")
+    absent = dc.column(3, friction=[[0.0, 0.4], [0.4, 0.0]])
+    assert dc.plan(absent, solver=dc.PGS())[TANGENT] == (False, "friction is 0")
 
 
 def test_reasons_are_those_of_the_options():

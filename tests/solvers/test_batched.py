@@ -135,7 +135,7 @@ def test_positions_are_corrected_in_the_order_of_the_batches(pile):
     for _ in range(3):
         position_correction.correct_in_turn(expected, sorted_contacts, state.world.box, NO_SEGMENTS, state.scales)
     rows, solver_bodies, *_ = problem.step_problem(state)
-    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n + 5, 1))
+    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n + 5, 1, 0.5), 0.5)
     for ground in range(n, plan.count[batches.ROWS], 5):
         position_correction.fill_ground(state.world.box, state.scales, tiles.centre[ground : ground + 5])
     batched.correct_positions_in_batches(plan, tiles, found, state.scales, 3)

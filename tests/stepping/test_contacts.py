@@ -18,7 +18,7 @@ def pairs_of(contacts):
 
 def search(position, radius, box, cells, skin=0.01):
     """`find_contacts` in a box without segments."""
-    return detect_contacts(position, radius, None, Walls(box, skin), None, cells, make_contacts(4000))
+    return detect_contacts(position, radius, None, Walls(box, skin), None, None, cells, make_contacts(4000))
 
 
 def brute_force_pairs(state):

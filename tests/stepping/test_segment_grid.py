@@ -71,7 +71,7 @@ def test_the_first_crossing_is_that_of_the_nearest_segment_that_rests():
     for point, to in POINTS:
         each = np.array([met(line, point, to) for line in LINES])
         for kind, stays in ((None, each >= 0.0), (actuation, ~moving.any(axis=1))):
-            found = first_crossing(grid, *point, *to, np.empty_like(grid.every), kind)
+            found = first_crossing(grid, 0, *point, *to, np.empty_like(grid.every), (None, 5), kind)
             np.testing.assert_allclose(found, each[stays].min(), rtol=1e-9)
 
 
@@ -142,7 +142,7 @@ def test_centres_that_have_crossed_a_resting_segment_are_put_to_half_of_their_wa
     state, before = crossed_by(LINES[:3])
     share = np.array([min(met(line, *way) for line in LINES[:3]) for way in POINTS])
     assert 5 < np.isfinite(share).sum() < 35
-    clamp_beside(state.bodies, before, segments_in_grid(state.world, 0.5), None)
+    clamp_beside(state.bodies, before, segments_in_grid(state.world, 0.5), None, None)
     part = np.where(np.isfinite(share), 0.5 * np.where(np.isfinite(share), share, 0.0), 1.0)
     np.testing.assert_allclose(state.bodies.position, before + part[:, None] * (POINTS[:, 1] - before), atol=1e-9)
 
@@ -168,7 +168,7 @@ def test_centres_that_a_segment_presses_stay_before_it_and_what_is_fixed_or_fast
                 held += 1
             else:
                 passed.append(i)
-    changed, last = clamp_beside_moving(state.bodies, before, segments, solved, actuation_of(state), dt)
+    changed, last = clamp_beside_moving(state.bodies, before, segments, solved, None, actuation_of(state), dt)
     np.testing.assert_allclose(state.bodies.position, expected, atol=1e-9)
     assert changed == (held > 0)
     assert last == passed[-1]

@@ -17,6 +17,8 @@ from deep_contact.stepping.segments import clamp_beside, hides, time_to_touch, t
 
 BOX = (0.0, 0.0, 60.0, 40.0)
 EVERYWHERE = (-1e10, -1e10, 1e10, 1e10)
+ALL = (None, 5)
+"""All pairs touch (`segments.touches`)."""
 SOLVERS = {name: METHODS[name]() for name in METHODS} | {"islands": dc.PGS(islands=True)}
 
 
@@ -64,8 +66,8 @@ def test_the_grid_lists_every_segment_within_reach_of_a_place_or_a_way(kind):
         cell = near_box(segments, x, x, y, y, buffer)
         assert set(np.flatnonzero(near)) <= set(cell)
         assert i in beside or not near.any()
-        found = {s for s in cell if touches(segments, EVERYWHERE, s, x, y, reach)}
-        assert found == {s for s in segments.every if touches(segments, EVERYWHERE, s, x, y, reach)}
+        found = {s for s in cell if touches(segments, EVERYWHERE, 0, s, x, y, reach, ALL)}
+        assert found == {s for s in segments.every if touches(segments, EVERYWHERE, 0, s, x, y, reach, ALL)}
     for (x, y), (to_x, to_y) in zip(points[:-2:7], points[1:-1:7]):
         way = np.array([x, y]) + np.linspace(0.0, 1.0, 50)[:, None] * (to_x - x, to_y - y)
         near = (distances(line, way) <= reach).any(axis=0)
@@ -196,8 +198,8 @@ def test_touching_segments_equal_brute_force():
 def test_a_segment_touches_as_far_as_the_reach_goes(point):
     for segment in ([0.0, 0.0, 2.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0, 0.0]):
         alone = in_grid(np.array([segment]), 1.0, 100)
-        assert touches(alone, EVERYWHERE, 0, *point, 1.0)
-        assert not touches(alone, EVERYWHERE, 0, *point, np.nextafter(1.0, 0.0))
+        assert touches(alone, EVERYWHERE, 0, 0, *point, 1.0, ALL)
+        assert not touches(alone, EVERYWHERE, 0, 0, *point, np.nextafter(1.0, 0.0), ALL)
 
 
 def test_an_end_is_touched_by_what_comes_within_and_not_by_what_is_there():
@@ -310,7 +312,7 @@ def test_nothing_passes_through_a_segment(seed, speed, name, dt):
 def test_what_has_crossed_a_segment_is_put_half_way_to_it():
     # From (4, 7) to (6, 3) it crosses y = 5 at (5, 5).
     state = scene([[6.0, 3.0], [30.0, 3.0]], ((0, 5), (10, 5)))
-    clamp_beside(state.bodies, np.array([[4.0, 7.0], [30.0, 7.0]]), segments_in_grid(state.world, 1.0), None)
+    clamp_beside(state.bodies, np.array([[4.0, 7.0], [30.0, 7.0]]), segments_in_grid(state.world, 1.0), None, None)
     np.testing.assert_allclose(state.bodies.position, [[4.5, 6.0], [30.0, 3.0]], rtol=1e-15)
 
 
