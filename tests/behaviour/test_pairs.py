@@ -64,7 +64,11 @@ def test_a_disc_on_an_incline_rolls_or_slides_by_the_friction_of_its_pair(solver
         )  # fmt: skip
         speed = dc.simulate(state, steps=40, solver=solver).state.bodies.velocity[0, 0]
         rolls = slope < 3.0 * MU[p, q]
-        expected = G * math.sin(theta) / (1.0 + 0.5 / 0.9975**2) if rolls else G * (math.sin(theta) - MU[p, q] * math.cos(theta))
+        expected = (
+            G * math.sin(theta) / (1.0 + 0.5 / 0.9975**2)
+            if rolls
+            else G * (math.sin(theta) - MU[p, q] * math.cos(theta))
+        )
         assert speed == pytest.approx(0.4 * expected, rel=1e-5)
 
 
