@@ -12,6 +12,7 @@ import json
 import re
 import sys
 from collections import Counter
+from statistics import median
 
 import measured
 from deep_contact.accuracy.presets import PRESETS
@@ -147,6 +148,16 @@ def first_calls() -> list[list]:
     return [["scene", "first call, s"], *([name, f"{seconds:.2f}"] for name, seconds in found.items())]
 
 
+def compiling() -> list[list]:
+    """What a first step compiles by the kind of scene: functions, lines, and processor time beside that of before."""
+    rows = [["first step of", "functions", "lines for LLVM", "processor time, s", "before, s", "ratio"]]
+    for kind, row in stored("compile_cost")["kinds"].items():
+        now, before = (median(row[side]["seconds"]) for side in ("now", "before"))
+        counts = (f"{row['now'][name]:,}" for name in ("functions", "lines"))
+        rows.append([kind, *counts, f"{now:.1f}", f"{before:.1f}", f"{now / before:.2f}"])
+    return rows
+
+
 def kinds() -> list[list]:
     """What "fast" and "reference" cost for each kind of scene, in those of a plain pile of its size."""
     costs = {(row["n_bodies"], row["preset"]): row["kinds"] for row in stored("figure_6_1")["data"]["presets"]}
@@ -270,7 +281,7 @@ def errata(kind: str) -> list[list]:
     return [list(found[0]), *(list(fault.values()) for fault in found)]
 
 
-_MADE = (engine, live, first_calls, noticed, presets, rivals, rivals_short, kinds, missed, figures, sph_start, elements)
+_MADE = (engine, live, first_calls, compiling, noticed, presets, rivals, rivals_short, kinds, missed, figures, sph_start, elements)
 
 TABLES = {table.__name__.replace("_", " "): table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True, holding=False),
