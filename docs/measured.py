@@ -641,8 +641,9 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     "README.md": [
         (
             "On {} scenes outside of the study that the presets come from, all tolerances were kept in {} by "
-            '"preview", in {} by "fast", in {} by "balanced", in {} by "accurate" and in {} by "reference"',
-            lambda: [cells_outside(), *verified()],
+            '"preview", in {} by "fast", in {} by "balanced", in {} by "accurate" and in {} by "reference". If a miss counts only '
+            "beyond the scatter of the seeds, these are {}, {}, {}, {} and {}",
+            lambda: [cells_outside(), *verified(), *verified("within")],
         ),
         ("the fastest of Box2D 2.3, Box2D v3 and pymunk takes {:.1f} to {:.1f} times as long", rivals),
         (
@@ -664,7 +665,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             lambda: safe("ours", "mass ratio, heavy on light", "column height"),
         ),
         (
-            "our network takes {:.2f} times as long as the impulses of the step before, with an interval of {:.2f} to {:.2f}",
+            "our network takes {:.2f} times as long as one from the impulses of the step before, with an interval of {:.2f} to {:.2f}",
             lambda: not_efficient(FAR_FIELD)[1],
         ),
         ("on 1/{:.0f} of the states", lambda: [training_share()]),
