@@ -830,7 +830,8 @@ GIVEN: dict[str, list[str]] = {
     "solvers.md": ["9.81 m/s² and Δt = 0.01 s", "√1000 times", "more than 100 times"],
     "starts.md": [
         *("off by more than 5 %", "radii from 0.8 m", "2 to 5 times as fast", "10 to 60 times as fast"),
-        *("about 90 % for a pile that flows out and 65 % for bulldozing",),
+        *("about 90 % for a pile that flows out and 65 % for bulldozing", "errors (0.3 and 0.1)"),
+        "velocity errors of 0.3 and 0.1: an error of 0.03",
     ],
     "thesis.md": [
         *("d = 0.75 m with h = 0.5 m", "of d = h = 0.5 m", "0.25, 0.5 and 0.75 m", "goes from 0.25 m to 2 m"),
