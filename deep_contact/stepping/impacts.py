@@ -168,10 +168,14 @@ def reflect(step, contacts, impulse, actuation):
         np.empty((n, 2)), np.empty((n + 1, 3)), np.zeros(n + 1), impulse,
     )  # fmt: skip
     slowest = max(SLOWEST, SLOWEST_LOSSY * (1.0 - step.restitution * step.restitution))
-    head, following = contacts_of_circles(contacts, n)
+    head, following = np.empty(n, np.int64), np.empty(2 * m, np.int64)
     count, strikes = m, 0
     while count > 0 and strikes < max(MOST_STRIKES * m, ALWAYS_STRIKES):
         struck = approaching(step, contacts, count, now, floor, slowest, actuation)
+        if struck == 0:
+            break
+        if strikes == 0:
+            list_contacts(contacts, head, following)
         circles = join(step.bodies, contacts, struck, now)
         push(step, contacts, struck, circles, now)
         rub(step, contacts, struck, circles, now, step.friction, actuation)
@@ -235,9 +239,9 @@ def approaching(step, contacts, count, now, floor, slowest, actuation):
             b_x, b_y = velocity[b, 0], velocity[b, 1]
         elif actuation is not None:
             b_x, b_y = ground_of(step, contacts, i, actuation)
-        x = (a_x - b_x) * n_x + (a_y - b_y) * n_y
-        if x > 0.0:
-            least = max(slowest * max(fastest[a], fastest[min(b, n)]), flat, abs(f_x * n_x + f_y * n_y))
+        x, least = (a_x - b_x) * n_x + (a_y - b_y) * n_y, max(flat, abs(f_x * n_x + f_y * n_y))
+        if x > least:  # in a pile at rest hardly ever, while half of the contacts approach at all
+            least = max(slowest * max(fastest[a], fastest[min(b, n)]), least)
             least = max(least, ROUNDING * (abs(a_x) + abs(a_y) + abs(b_x) + abs(b_y)), 1e-100)
             if least < x < np.inf and (mass[a] < np.inf or (b < n and mass[b] < np.inf)):
                 near[struck], approach[struck] = i, x
@@ -268,21 +272,21 @@ def inverse_mass(bodies, i):
 
 
 @njit(cache=True)
-def contacts_of_circles(contacts, n):
-    """Return (head, following): a linked list of the contacts of each circle.
+def list_contacts(contacts, head, following):
+    """Fill a linked list of the contacts of each circle, in place.
 
     An element of a list is the number 2 i + side. It stands for contact i, with the circle as its first body (side 0)
     or second body (side 1). A −1 ends a list. head: first element of the list of each circle, (n,). following: the
     element that follows each element, (2 m,).
     """
-    m = contacts.body_a.shape[0]
-    head, following = np.full(n, -1), np.empty(2 * m, np.int64)
-    for i in range(m):
+    n = head.shape[0]
+    for c in range(n):
+        head[c] = -1
+    for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
         following[2 * i], head[a] = head[a], 2 * i
         if b < n:
             following[2 * i + 1], head[b] = head[b], 2 * i + 1
-    return head, following
 
 
 @njit(inline="always")
