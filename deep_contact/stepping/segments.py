@@ -118,8 +118,6 @@ def touches(segments, box, s, x, y, reach):
         return False
     if y < min(segment[1], segment[3]) - reach or y > max(segment[1], segment[3]) + reach:
         return False
-    if is_beyond(segment, x, y, reach):
-        return False
     gap, part = segment_gap(segment, x, y)[0], nearest_part(segment, x, y)
     if not gap <= reach or part == BESIDE:
         return gap <= reach
@@ -159,14 +157,15 @@ def append_pairs(position, radius, walls, segments, circles, body_a, body_b, end
     circles: (n,), overwritten. Returns the new number of pairs, or -1 if they do not fit. In rough ground a circle has
     dozens of segments in its cell. Numba therefore counts no references here (`_nrt`), which took most of the time.
     """
-    n, grid, start, near = position.shape[0], segments.grid, segments.start, segments.near
+    n, grid, start, near, line = position.shape[0], segments.grid, segments.start, segments.near, segments.line
     for j in range(circles_beside(segments, position, position, circles)):
         i = circles[j]
-        x, y = position[i, 0], position[i, 1]
+        x, y, reach = position[i, 0], position[i, 1], NEARLY * (radius[i] + walls.skin)
         first, last, bottom, top = cells_of_box(grid, x, x, y, y)
         for row in range(bottom, top + 1):
             for k in range(start[row * grid[3] + first], start[row * grid[3] + last + 1]):
-                if touches(segments, walls.box, near[k], x, y, NEARLY * (radius[i] + walls.skin)):
+                # A call of `touches` copies all fields of `segments`, so that far segments are left out before it.
+                if not is_beyond(line[near[k]], x, y, reach) and touches(segments, walls.box, near[k], x, y, reach):
                     if end == body_a.shape[0]:
                         return -1
                     body_a[end], body_b[end] = i, n + 4 + near[k]
