@@ -17,7 +17,6 @@ from deep_contact.stepping.segment_grid import (
     START,
     in_grid,
     is_beyond,
-    near_box,
     nearest_part,
     segment_gap,
     segments_in_grid,
