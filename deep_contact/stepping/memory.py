@@ -38,7 +38,9 @@ class Steps:
         self._options = StepOptions(entry.settings(solver), solver.position_sweeps, carry)
         self._solver, self._memory, self._direct = solver, {}, {}
         self._asked = self._rare = None  # the last input of steps, and its `with_optional`
-        self._contexts: dict = {}  # buffer -> the last input of steps, and its context
+        # Buffer -> the last input of steps, and its context. (Buffer, `_is_plain`) -> the argument `step` of the last
+        # call from there, the input that was made of it, the context and the compiled function.
+        self._contexts: dict = {}
         self._found: tuple = (None, -1, False)  # body_a of the last contacts, their buffer, and the key of its memory
         self.sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
 
@@ -101,17 +103,26 @@ class Steps:
                 pair_impulses = log_impulses(log, log.pair_impulses, contacts, impacts, step.bodies.count)
                 log = log._replace(pair_impulses=pair_impulses)
         while True:
-            self._is_plain = self._is_plain and step.motion is None
-            step = step if self._is_plain else self._with_optional(step)
-            kind = self._is_plain, key, step.actuation is None  # what the types of all arguments depend on
-            if kind not in self._direct:
-                self._direct[kind] = Direct(self._advance)
-            context = self._context_of(step, buffer, contacts, log, built)
-            advance_steps = self._direct[kind]
+            # Most calls repeat the last call that began in this buffer. What that call has found serves again.
+            asked, found = step, self._contexts.get((buffer, self._is_plain))
+            if built is None and found is not None and found[0] is step:
+                _, step, context, advance_steps = found
+            else:
+                self._is_plain = self._is_plain and step.motion is None
+                step = step if self._is_plain else self._with_optional(step)
+                kind = self._is_plain, key, step.actuation is None  # what the types of all arguments depend on
+                if kind not in self._direct:
+                    self._direct[kind] = Direct(self._advance)
+                context = self._context_of(step, buffer, contacts, log, built)
+                advance_steps = self._direct[kind]
+                if built is None:
+                    self._contexts[buffer, self._is_plain] = asked, step, context, advance_steps
             following, pair_impulses = advance_steps(context, contacts, step.motion, self.sleep, log, step.actuation)
-            substeps = int(log.substeps[0] if len(log.substeps) == 1 else log.substeps.sum())
+            substeps = log.substeps.item() if len(log.substeps) == 1 else int(log.substeps.sum())
             following, before = self._keep(following, substeps - before, buffer, key), substeps
-            if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.substeps * len(log.contacts):
+            if not self._is_plain:
+                return following, pair_impulses
+            if log.progress[WORK] <= 0 or log.progress[DONE] == step.substeps * len(log.contacts):
                 return following, pair_impulses
             # A circle is fast, so the next call has the code for it. The rows that were built are overwritten by now.
             self._is_plain, contacts, log, built = False, following, log._replace(pair_impulses=pair_impulses), None

@@ -246,7 +246,7 @@ def test_a_start_that_fails_leaves_the_last_whole_step(pile):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, FloatingPointError])
-@pytest.mark.parametrize("way", ["fast", "asleep", "rebounds", "batches"])
+@pytest.mark.parametrize("way", ["fast", "no start", "asleep", "rebounds", "batches"])
 def test_a_step_that_is_interrupted_or_diverges_leaves_the_last_whole_step(way, error, monkeypatch):
     world, how = WAYS[way]
     # Two discs that rub on a slope, beside two that come to rest on one another.
@@ -276,6 +276,25 @@ def test_a_step_that_is_interrupted_or_diverges_leaves_the_last_whole_step(way, 
         np.testing.assert_array_equal(steps.sleep.still, still)
     run.step(15)
     assert run.state == dc.simulate(scene, steps=60, **how).state
+
+
+def test_a_first_step_that_is_interrupted_leaves_impulses_that_are_not_those_from_which_it_starts(pile, monkeypatch):
+    # Later steps start from the impulses of the last one, so that only the first step has to copy both.
+    state = dc.simulate(pile[0], steps=30, **pile[1]).state
+    contacts = state.contacts._replace(normal_start=0.5 * state.contacts.normal_start)
+    run = dc.Simulator(state.replace(contacts=contacts), **pile[1])
+    before, steps = run.state, run._steps
+    assert (before.contacts.normal_start < before.contacts.normal_impulse).any()
+
+    def broken(*arguments):
+        type(steps).__call__(steps, *arguments)
+        raise KeyboardInterrupt
+
+    broken.sleep = steps.sleep
+    monkeypatch.setattr(run, "_steps", broken)
+    with pytest.raises(KeyboardInterrupt):
+        run.step()
+    assert run.state == before
 
 
 def test_a_run_that_is_interrupted_falls_asleep_as_one_that_is_not(monkeypatch):
