@@ -14,6 +14,7 @@ from deep_contact.stepping.context import (
     StepInput,
     StepMemory,
     StepOptions,
+    contacts_of_context,
     make_context,
     make_memory,
     with_optional,
@@ -41,6 +42,7 @@ class Steps:
         # Buffer -> the last input of steps, and its context. (Buffer, `_is_plain`) -> the argument `step` of the last
         # call from there, the input that was made of it, the context and the compiled function.
         self._contexts: dict = {}
+        self._buffers, self._views = {}, {}  # key -> three buffers; (buffer, key) -> the last contacts found in it
         self._found: tuple = (None, -1, False)  # body_a of the last contacts, their buffer, and the key of its memory
         self.sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
 
@@ -65,7 +67,7 @@ class Steps:
             memory = make_memory(n, capacity, self._solver.sweeps, friction)
             workspace = make_workspace(self._options.settings, memory.rows, memory.solver_bodies)
             memory = memory._replace(workspace=workspace)
-            buffers = *memory.contacts, make_contacts(capacity)
+            buffers = self._buffers[key] = *memory.contacts, make_contacts(capacity)
             self._memory[key] = [memory._replace(contacts=(buffers[i], buffers[j])) for i, j in _BUFFERS]
         return self._memory[key]
 
@@ -74,12 +76,26 @@ class Steps:
         found, buffer, kept = self._found
         return buffer if contacts.body_a is found and key == kept else -1
 
-    def _keep(self, following: Contacts, substeps: int, buffer: int, key: bool) -> Contacts:
-        """Record the buffer of the contacts after substeps, which fill two buffers in turn, and return them."""
+    def _keep(
+        self, context: StepContext, contacts: Contacts, m: int, substeps: int, buffer: int, key: bool
+    ) -> Contacts:
+        """Return the contacts after substeps, which fill two buffers in turn, and record their buffer.
+
+        context: the context of the steps. contacts: those before the substeps, in this buffer. m: number of contacts
+        after the substeps, or −1 (`context.results_of`).
+        """
         if self.sleep is not None:  # substeps in which all circles sleep fill no buffer
-            following, buffer = Contacts(*map(np.copy, following)), -1
-        elif substeps > 0:
+            following, buffer = Contacts(*map(np.copy, contacts_of_context(context))), -1
+        elif substeps == 0:
+            following = contacts
+        elif m < 0:
+            following, buffer = contacts_of_context(context), _BUFFERS[buffer][substeps % 2]
+        else:
             buffer = _BUFFERS[buffer][substeps % 2]
+            following = self._views.get((buffer, key))
+            if following is None or len(following.body_a) != m:
+                following = Contacts(*[array[:m] for array in self._buffers[key][buffer]])
+                self._views[buffer, key] = following
         self._found = following.body_a, buffer, key
         return following
 
@@ -117,9 +133,9 @@ class Steps:
                 advance_steps = self._direct[kind]
                 if built is None:
                     self._contexts[buffer, self._is_plain] = asked, step, context, advance_steps
-            following, pair_impulses = advance_steps(context, contacts, step.motion, self.sleep, log, step.actuation)
+            m, pair_impulses = advance_steps(context, contacts, step.motion, self.sleep, log, step.actuation)
             substeps = log.substeps.item() if len(log.substeps) == 1 else int(log.substeps.sum())
-            following, before = self._keep(following, substeps - before, buffer, key), substeps
+            following, before = self._keep(context, contacts, m, substeps - before, buffer, key), substeps
             if not self._is_plain:
                 return following, pair_impulses
             if log.progress[WORK] <= 0 or log.progress[DONE] == step.substeps * len(log.contacts):

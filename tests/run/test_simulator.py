@@ -11,7 +11,9 @@ from conftest import circles_at
 import deep_contact as dc
 from deep_contact.compiled.direct import OFTEN, Direct
 from deep_contact.starts.changed_load import with_time_step
+from deep_contact.state.arrays import no_contacts
 from deep_contact.stepping.log import FINITE
+from deep_contact.stepping.problem import contacts_of
 
 WAYS = {
     "fast": ({}, {"accuracy": "fast"}),
@@ -43,6 +45,22 @@ def test_step_by_step_in_parts_and_in_one_call_are_the_same_bits(way):
             run.step(steps)
         assert run.state == whole.state
         assert run.time == whole.state.time
+
+
+def test_contacts_that_do_not_fit_into_the_memory_of_a_run_are_handed_over_too():
+    # 40 circles in one place have more pairs than the memory has room for, and lose them while they part.
+    position = 15.0 + 0.2 * np.random.default_rng(0).normal(size=(40, 2))
+    scene, counts = circles_at(position, radius=0.5).replace(contacts=no_contacts()), set()
+    run = dc.Simulator(scene, solver=dc.PGS(sweeps=8))
+    capacity = run._steps.memory(run._inputs).rows.body.shape[0]
+    for _ in range(60):
+        run.step()
+        contacts, expected = run.state.contacts, contacts_of(run.state)
+        for one, other in zip(contacts[:5], expected[:5]):
+            np.testing.assert_array_equal(one, other)
+        counts.add(contacts.count)
+    assert len(counts) > 5
+    assert max(counts) > capacity > min(counts)
 
 
 @pytest.mark.parametrize("how", [{}, {"accuracy": "fast"}])
