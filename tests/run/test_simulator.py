@@ -11,7 +11,9 @@ from conftest import circles_at
 import deep_contact as dc
 from deep_contact.compiled.direct import OFTEN, Direct
 from deep_contact.starts.changed_load import with_time_step
+from deep_contact.state.arrays import no_contacts
 from deep_contact.stepping.log import FINITE
+from deep_contact.stepping.problem import contacts_of
 
 WAYS = {
     "fast": ({}, {"accuracy": "fast"}),
@@ -43,6 +45,22 @@ def test_step_by_step_in_parts_and_in_one_call_are_the_same_bits(way):
             run.step(steps)
         assert run.state == whole.state
         assert run.time == whole.state.time
+
+
+def test_contacts_that_do_not_fit_into_the_memory_of_a_run_are_handed_over_too():
+    # 40 circles in one place have more pairs than the memory has room for, and lose them while they part.
+    position = 15.0 + 0.2 * np.random.default_rng(0).normal(size=(40, 2))
+    scene, counts = circles_at(position, radius=0.5).replace(contacts=no_contacts()), set()
+    run = dc.Simulator(scene, solver=dc.PGS(sweeps=8))
+    capacity = run._steps.memory(run._inputs).rows.body.shape[0]
+    for _ in range(60):
+        run.step()
+        contacts, expected = run.state.contacts, contacts_of(run.state)
+        for one, other in zip(contacts[:5], expected[:5]):
+            np.testing.assert_array_equal(one, other)
+        counts.add(contacts.count)
+    assert len(counts) > 5
+    assert max(counts) > capacity > min(counts)
 
 
 @pytest.mark.parametrize("how", [{}, {"accuracy": "fast"}])
@@ -246,7 +264,7 @@ def test_a_start_that_fails_leaves_the_last_whole_step(pile):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, FloatingPointError])
-@pytest.mark.parametrize("way", ["fast", "asleep", "rebounds", "batches"])
+@pytest.mark.parametrize("way", ["fast", "no start", "asleep", "rebounds", "batches"])
 def test_a_step_that_is_interrupted_or_diverges_leaves_the_last_whole_step(way, error, monkeypatch):
     world, how = WAYS[way]
     # Two discs that rub on a slope, beside two that come to rest on one another.
@@ -276,6 +294,25 @@ def test_a_step_that_is_interrupted_or_diverges_leaves_the_last_whole_step(way, 
         np.testing.assert_array_equal(steps.sleep.still, still)
     run.step(15)
     assert run.state == dc.simulate(scene, steps=60, **how).state
+
+
+def test_a_first_step_that_is_interrupted_leaves_impulses_that_are_not_those_from_which_it_starts(pile, monkeypatch):
+    # Later steps start from the impulses of the last one, so that only the first step has to copy both.
+    state = dc.simulate(pile[0], steps=30, **pile[1]).state
+    contacts = state.contacts._replace(normal_start=0.5 * state.contacts.normal_start)
+    run = dc.Simulator(state.replace(contacts=contacts), **pile[1])
+    before, steps = run.state, run._steps
+    assert (before.contacts.normal_start < before.contacts.normal_impulse).any()
+
+    def broken(*arguments):
+        type(steps).__call__(steps, *arguments)
+        raise KeyboardInterrupt
+
+    broken.sleep = steps.sleep
+    monkeypatch.setattr(run, "_steps", broken)
+    with pytest.raises(KeyboardInterrupt):
+        run.step()
+    assert run.state == before
 
 
 def test_a_run_that_is_interrupted_falls_asleep_as_one_that_is_not(monkeypatch):
