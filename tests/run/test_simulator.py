@@ -2,6 +2,7 @@
 
 import pickle
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -89,6 +90,84 @@ def test_what_is_set_holds_from_there_on(changes, pile):
     with pytest.raises(ValueError, match="friction: expected"):
         run.set(friction=-1.0)
     assert run.state.world == world
+
+
+def turned(angle, strength=9.81):
+    return strength * np.sin(angle), -strength * np.cos(angle)
+
+
+def forces(newtons):
+    return np.array([[newtons, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, newtons]])
+
+
+SMALL = {
+    "gravity turned": lambda k: {"gravity": turned(1e-3 * k)},
+    "gravity stronger": lambda k: {"gravity": turned(0.0, 9.81 + 0.02 * k)},
+    "gravity weaker": lambda k: {"gravity": turned(0.0, 9.81 - 0.02 * k)},
+    "friction": lambda k: {"friction": 0.4 - 5e-4 * k},
+    "restitution": lambda k: {"restitution": 0.1 + 5e-4 * k},
+    "push": lambda k: {"push": forces(0.03 * k)},
+    "push with torques": lambda k: {"push": (forces(0.02 * k), np.full(4, -0.01 * k))},
+    "all": lambda k: {"push": forces(0.01 * k), "gravity": turned(1e-4 * k), "friction": 0.4 - 1e-4 * k},
+}
+"""What changes by little -> the k-th change."""
+
+
+@pytest.mark.parametrize("how", [{"solver": dc.PGS()}, {"solver": dc.BatchedPGS(sweeps=8)}, {"accuracy": "fast"}])
+@pytest.mark.parametrize("name", SMALL)
+def test_small_changes_are_set_in_place_with_the_bits_of_changed_states(name, how):
+    """PGS() ends its sweeps at a tolerance that follows gravity."""
+    scene = dc.column(4, friction=0.4)
+    scene = scene.replace(world=replace(scene.world, restitution=0.1 * (name == "restitution")))
+    nothing = forces(0.0) if "push" in SMALL[name](0) else None
+    state = dc.simulate(scene, steps=40, push=nothing, **how).state
+    run, made = dc.Simulator(state, push=nothing, **how), []
+    run._change = lambda *_: made.append(0)
+    for k in range(1, 9):
+        changes = SMALL[name](k)
+        run.set(**changes)
+        run.step()
+        push = changes.pop("push", None)
+        state = state.replace(world=replace(state.world, **changes))
+        state = dc.simulate(state, steps=1, push=push, **how).state
+    assert not made
+    assert run.state == state
+    assert run.state.load == state.load
+    assert run.state.solver == state.solver
+
+
+def test_changes_that_add_up_are_not_set_in_place():
+    """Gravity turned by 1e-3 rad a step; 0.001 √(g r) is Δt g times 31.9e-3 rad."""
+    run, made = dc.Simulator(dc.column(4, friction=0.4), solver=dc.PGS(sweeps=8)), []
+    change = run._change
+    run._change = lambda *arguments: made.append(k) or change(*arguments)
+    run.step(40)
+    for k in range(1, 100):
+        run.set(gravity=turned(1e-3 * k))
+        run.step()
+    assert made == [32, 64, 96]
+
+
+def test_a_change_in_place_refuses_what_a_world_refuses_and_leaves_all_as_it_was(pile):
+    run = dc.Simulator(pile[0], **pile[1])
+    run.step(40)
+    before = run.state
+    for bad in ({"friction": -1.0}, {"gravity": (0.0, 1e7)}, {"restitution": 2.0}, {"push": [[1.0, 2.0]]}):
+        with pytest.raises(ValueError, match="expected"):
+            run.set(**{"gravity": (1e-3, -9.81)} | bad)
+        assert run.state == before
+        assert run.state.load == before.load
+
+
+def test_a_solver_for_another_tolerance_is_not_taken_for_that_of_before(pile):
+    """The tolerance follows gravity; other circles come when gravity is back."""
+    run = dc.Simulator(pile[0], solver=dc.PGS())
+    run.step(40)
+    run.set(gravity=(0.0, -9.83))
+    run.step(2)
+    run.set(gravity=(0.0, -9.81), dt=run.state.dt / 2.0)
+    run.set(dt=2.0 * run.state.dt)
+    assert run._steps._solver == run.state.solver == dc.PGS().for_state(run.state)
 
 
 def test_the_time_step_can_be_set_and_scales_what_is_carried(pile):
