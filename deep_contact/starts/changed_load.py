@@ -76,8 +76,10 @@ def with_new_load(state: StateWithContacts, solver, *, share: float = 1.0) -> St
 
     The carried impulses times `share` stay if the solver, starting from them, leaves no more energy than from impulses
     of 0, and kicks no circle (`_kicks`). Otherwise the impulses are solved anew, from the better of two starts
-    (`_nearest_start`). If the solver leaves more energy from the new impulses than from impulses of 0, the state starts
-    from 0.
+    (`_nearest_start`): by the convex relaxation if circles hardly move, and by NesterovPGS if they move. NesterovPGS
+    also follows the relaxation if circles do not rest, and the solver leaves more energy from the impulses of the
+    relaxation than from those of before, or throws a circle (`_throws`). If it leaves more energy from the new impulses
+    than from impulses of 0, the state starts from 0.
 
     solver: options of the next steps, with numbers in place of values that follow the scene
     (`SolverOptions.for_state`). share: factor on the impulses that follows from the change of gravity
@@ -91,12 +93,16 @@ def with_new_load(state: StateWithContacts, solver, *, share: float = 1.0) -> St
     problem = step_problem(state)
     carried = projected(contacts.normal_start, contacts.tangent_start, state.world.friction)
     scaled = share * carried[0], share * carried[1]
-    (energy, _), (energy_scaled, velocity) = (_left(state, *start, solver, problem) for start in (zero, scaled))
-    if energy_scaled <= energy and not _kicks(state, velocity):
+    (energy, free), (energy_scaled, velocity) = (_left(state, *start, solver, problem) for start in (zero, scaled))
+    if energy_scaled <= energy and not _kicks(state, velocity, free):
         return _starting(state, *scaled)
-    tolerance = CLOSE * theta_tolerance(state.bodies.mass, state.bodies.radius, state.world.gravity, state.dt)
-    impulses = _good(state, *_nearest_start(state, problem, carried), problem, tolerance)
-    return _starting(state, *(impulses if _left(state, *impulses, solver, problem)[0] <= energy else zero))
+    *impulses, rests = _relaxed(state, *_nearest_start(state, problem, carried), problem)
+    energy_new, velocity = _left(state, *impulses, solver, problem)
+    if not rests and (not energy_new <= min(energy, energy_scaled) or _throws(state, velocity)):
+        tolerance = CLOSE * theta_tolerance(state.bodies.mass, state.bodies.radius, state.world.gravity, state.dt)
+        impulses = _solved(state, *impulses, problem, tolerance)
+        energy_new, _ = _left(state, *impulses, solver, problem)
+    return _starting(state, *(impulses if energy_new <= energy else zero))
 
 
 def _nearest_start(state: StateWithContacts, problem: StepProblem, carried) -> tuple[np.ndarray, np.ndarray]:
@@ -116,22 +122,39 @@ def _nearest_start(state: StateWithContacts, problem: StepProblem, carried) -> t
     return starts[int(np.argmin(energies))]
 
 
-def _kicks(state: StateWithContacts, velocity: np.ndarray) -> bool:
-    """Return whether the velocities after a solve, (n, 2), m/s, show that its starting impulses kick a circle.
+def _kicks(state: StateWithContacts, velocity: np.ndarray, free: np.ndarray) -> bool:
+    """Return whether the velocities after a solve show that its starting impulses kick a circle.
 
     A kicked circle is faster, by more than `KICK`, than the fastest circle before the solve. Circles that fall or roll
-    become faster without a kick. Circles without contacts therefore do not count, nor do circles that were at least
-    half as fast as the speed that gravity and the push give in a step, and gain at most that speed.
+    become faster without a kick, by at most the speed that gravity and the push give in a step. Such circles do not
+    count: those without contacts, those that were at least half as fast as this speed, and those with one contact that
+    become as fast from impulses of 0. velocity, free: velocities after the solve and after a solve from impulses of 0,
+    (n, 2), m/s.
     """
-    bodies, (a, b), gravity = state.bodies, state.contacts[:2], math.hypot(*state.world.gravity)
-    before, after, own = np.hypot(*bodies.velocity.T), np.hypot(*velocity.T), state.dt * gravity
-    most = before.max(initial=0.0) + KICK * math.sqrt(gravity * mean(bodies.radius))
+    before, after = (np.hypot(*values.T) for values in (state.bodies.velocity, velocity))
+    (own, kick), n = _speeds_of_load(state), state.bodies.count
+    contacts = np.bincount(np.concatenate(state.contacts[:2]), minlength=n)[:n]
+    moves_on = (before >= 0.5 * own) | ((contacts == 1) & (after <= np.hypot(*free.T) + kick))
+    is_free = (contacts == 0) | (moves_on & (after - before <= own))
+    return bool(((after > before.max(initial=0.0) + kick) & ~is_free).any())
+
+
+def _throws(state: StateWithContacts, velocity: np.ndarray) -> bool:
+    """Return whether a circle has become faster than gravity and the push make it. velocity: after a solve, (n, 2)."""
+    own, kick = _speeds_of_load(state)
+    return bool((np.hypot(*velocity.T) - np.hypot(*state.bodies.velocity.T) > own + kick).any())
+
+
+def _speeds_of_load(state: State) -> tuple[np.ndarray | float, float]:
+    """Return (speed that gravity and the push give a circle in a step, m/s; `KICK` in m/s).
+
+    The first is an array, (n,), if there is a push.
+    """
+    bodies, gravity = state.bodies, math.hypot(*state.world.gravity)
+    own, kick = state.dt * gravity, KICK * math.sqrt(gravity * mean(bodies.radius))
     if state.push is not None:
         own = own + state.dt * np.hypot(*state.push[0].T) / bodies.mass
-    touches = np.zeros(bodies.count, bool)
-    touches[a] = touches[b[b < bodies.count]] = True
-    moves_on = (before >= 0.5 * own) & (after - before <= own)
-    return bool(((after > most) & touches & ~moves_on).any())
+    return own, kick
 
 
 def with_a_past(state: StateWithContacts) -> StateWithContacts:
@@ -154,19 +177,33 @@ def with_a_past(state: StateWithContacts) -> StateWithContacts:
 def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:
     """Return impulses (λ_n, λ_t), (m,) each, N·s, at which the state rests, or else accurately solved impulses.
 
-    If the circles hardly move, the convex relaxation searches for impulses at rest. If it finds none, or if the circles
-    move faster, NesterovPGS solves the contact problem. normal, tangent: impulses to start from, (m,) each, N·s.
-    problem: `StepProblem` of the state. tolerance: θ at which the sweeps of NesterovPGS end, N·s, or None.
+    normal, tangent: impulses to start from, (m,) each, N·s. problem: `StepProblem` of the state. tolerance: as in
+    `_solved`.
+    """
+    *impulses, rests = _relaxed(state, normal, tangent, problem)
+    return tuple(impulses) if rests else _solved(state, *impulses, problem, tolerance)
+
+
+def _relaxed(state: State, normal, tangent, problem: StepProblem) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Return (λ_n, λ_t, rests): impulses of the convex relaxation, and whether the circles rest at them.
+
+    If the circles move too fast to rest after the step, the impulses are returned unchanged. Arguments as of `_good`.
     """
     gained, speed = state.dt * math.hypot(*state.world.gravity), math.inf
     ends, rests = ENDS * gained, RESTS * gained
     if np.mean(state.bodies.velocity**2) < gained**2:
         normal, tangent, speed = at_rest(problem, normal, tangent, iterations=RELAXED, speed=ends, needed=rests)
-    if speed > rests:
-        solver = NesterovPGS(sweeps=int(np.clip(state.bodies.count, *SWEEPS)), tolerance=tolerance)
-        solution = solve(state, solver, normal, tangent, problem)
-        normal, tangent = solution.normal_impulses, solution.tangent_impulses
-    return normal, tangent
+    return normal, tangent, not speed > rests
+
+
+def _solved(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:
+    """Return accurately solved impulses (λ_n, λ_t), (m,) each, N·s.
+
+    tolerance: θ at which the sweeps of NesterovPGS end, N·s, or None. Other arguments as of `_good`.
+    """
+    solver = NesterovPGS(sweeps=int(np.clip(state.bodies.count, *SWEEPS)), tolerance=tolerance)
+    solution = solve(state, solver, normal, tangent, problem)
+    return solution.normal_impulses, solution.tangent_impulses
 
 
 def _left(state: State, normal, tangent, solver, problem: StepProblem) -> tuple[float, np.ndarray]:

@@ -177,7 +177,7 @@ def no_search(monkeypatch):
     def search(*_):
         raise Searched
 
-    monkeypatch.setattr(load_module, "_good", search)
+    monkeypatch.setattr(load_module, "_relaxed", search)
 
 
 SOLVER = dc.PGS(sweeps=20, tolerance=None)

@@ -1,11 +1,12 @@
-"""python tests/tools/change_cost.py [--sizes 100,1000,10000] [--before TREE]: what a change between two steps costs.
+"""python tests/tools/change_cost.py [--sizes 100,1000,10000] [--before TREE] [--only TEXT]: what changes cost.
 
 A pile at rest is run step by step with the preset "fast". Before each step something is changed. The table has, for
 each size and change, the time of a plain step, and the time that the change adds to a step, in the mean and at most,
-in μs and in plain steps. A second run without changes takes its steps in turns with the first one.
+in μs and in plain steps. A second run without changes takes its steps in turns with the first one. Times are processor
+times of the thread, which other programs disturb less.
 
 --before: folder with another version of the package. Both versions are timed, one after the other for each size, and
-the table has both. No other program should run at the same time.
+the table has both.
 """
 
 from __future__ import annotations
@@ -64,18 +65,21 @@ CHANGES = {
 def pile(n: int):
     """A pile of n circles at rest, with the solver of the preset "fast"."""
     import deep_contact as dc
-    from deep_contact.studies.piles import packed_pile
+    from deep_contact.studies import piles
 
-    state = packed_pile(n, seed=1, steps=1500 if n <= 1000 else 600).replace(solver=None)
-    return dc.simulate(state, steps=100, accuracy="fast").state
+    settling = dc.PGS(sweeps=10, tolerance=None, position_sweeps=3)
+    state = piles.pile("resting", n, 1, solver=settling, most=3000, make=dc.lattice_in_box)
+    return dc.simulate(state.replace(solver=None), steps=100, accuracy="fast").state
 
 
-def costs(n: int) -> list[dict]:
-    """The costs of all changes of a pile of n circles, of the package in this process."""
+def costs(n: int, only: str) -> list[dict]:
+    """The costs of changes of a pile of n circles, of the package in this process. only: part of their names."""
     import deep_contact as dc
 
     state, rows = pile(n), []
     for name, (count, change) in CHANGES.items():
+        if only not in name:
+            continue
         scene = state
         if "wall" in name:  # above the pile, where it touches nothing
             x_min, _, x_max, y_max = state.world.box
@@ -90,14 +94,14 @@ def costs(n: int) -> list[dict]:
                 run.set(restitution=1e-6)
             for _ in range(WARM):
                 run.step()
-        plain, changed, begun = [], [], time.perf_counter()
+        plain, changed, begun = [], [], time.thread_time()
         for k in range(count):
-            times = [time.perf_counter()]
+            times = [time.thread_time()]
             change(live, k)
             live.step()
-            times.append(time.perf_counter())
+            times.append(time.thread_time())
             still.step()
-            times.append(time.perf_counter())
+            times.append(time.thread_time())
             changed.append(times[1] - times[0])
             plain.append(times[2] - times[1])
             if times[2] - begun > LONGEST:
@@ -108,10 +112,10 @@ def costs(n: int) -> list[dict]:
     return rows
 
 
-def measured(tree: Path, n: int) -> list[dict]:
-    """The costs of the package in a folder, in a process of its own."""
+def measured(tree: Path, n: int, only: str) -> list[dict]:
+    """The `costs` of the package in a folder, in a process of its own."""
     environment = os.environ | {"PYTHONPATH": str(tree)}
-    command = [sys.executable, __file__, "--here", str(n)]
+    command = [sys.executable, __file__, "--here", str(n), "--only", only]
     done = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 
@@ -120,16 +124,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--sizes", default="100,1000,10000", help="numbers of circles")
     parser.add_argument("--before", type=Path, help="folder with another version of the package")
+    parser.add_argument("--only", default="", help="part of the names of the changes")
     parser.add_argument("--here", type=int, metavar="N", help="one size in this process, as JSON")
     args = parser.parse_args()
     if args.here:
-        print(json.dumps(costs(args.here)))
+        print(json.dumps(costs(args.here, args.only)))
         return
     trees = {"now": ROOT} if args.before is None else {"before": args.before.resolve(), "now": ROOT}
     print("| circles | change | version | step, µs | mean, µs | median, µs | most, µs | mean, steps | most, steps |")
     print("| --- " * 9 + "|")
     for n in map(int, args.sizes.split(",")):
-        found = {name: measured(tree, n) for name, tree in trees.items()}
+        found = {name: measured(tree, n, args.only) for name, tree in trees.items()}
         for rows in zip(*found.values()):
             for version, row in zip(found, rows):
                 us = [f"{1e6 * row[name]:,.0f}" for name in ("step", "mean", "median", "most")]
