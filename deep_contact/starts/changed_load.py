@@ -62,12 +62,13 @@ def fitted(state: StateWithContacts, solver, *, carries: bool = True) -> tuple[S
     now = load_of(state)
     if now.digest == load.digest:
         return state, load.anchor
-    if now.constant == load.constant:
+    if now.constant != load.constant:
+        state = find_contacts(state)
+    else:
         share = share_of_gravity(load.world, load.anchor, state)
         if (anchor := kept_anchor(load.anchor, load.world, state)) is not None:
             contacts = scaled_impulses(state.contacts, share, is_solved=state.solved)
             return changed(state, contacts=contacts), anchor
-    state = find_contacts(state)
     return with_new_load(state, solver, share=share) if carries else state, now.anchor
 
 
@@ -128,14 +129,19 @@ def _kicks(state: StateWithContacts, velocity: np.ndarray, free: np.ndarray) -> 
     A kicked circle is faster, by more than `KICK`, than the fastest circle before the solve. Circles that fall or roll
     become faster without a kick, by at most the speed that gravity and the push give in a step. Such circles do not
     count: those without contacts, those that were at least half as fast as this speed, and those with one contact that
-    become as fast from impulses of 0. velocity, free: velocities after the solve and after a solve from impulses of 0,
-    (n, 2), m/s.
+    become as fast from impulses of 0. A pile is also kicked if it sinks: if most circles with at least two contacts
+    that were slow gain more than half of this speed.
+
+    velocity, free: velocities after the solve and after a solve from impulses of 0, (n, 2), m/s.
     """
     before, after = (np.hypot(*values.T) for values in (state.bodies.velocity, velocity))
     (own, kick), n = _speeds_of_load(state), state.bodies.count
     contacts = np.bincount(np.concatenate(state.contacts[:2]), minlength=n)[:n]
     moves_on = (before >= 0.5 * own) | ((contacts == 1) & (after <= np.hypot(*free.T) + kick))
     is_free = (contacts == 0) | (moves_on & (after - before <= own))
+    rests = (contacts >= 2) & (before < 0.5 * own)
+    if 2 * np.count_nonzero(rests & (after - before > 0.5 * own)) > np.count_nonzero(rests):
+        return True
     return bool(((after > before.max(initial=0.0) + kick) & ~is_free).any())
 
 

@@ -241,3 +241,22 @@ def test_a_state_keeps_what_it_carries_where_its_load_is_its_own_or_unknown(no_s
     after, anchor = fitted(unknown, SOLVER)
     assert after is unknown
     assert anchor.world is unknown.world
+
+
+@pytest.mark.parametrize("flies", [False, True])
+def test_a_pile_whose_gravity_comes_back_rests_whatever_flies_above_it(settled, flies):
+    """Its impulses are 0 by then. A circle that is faster than all others must not hide that the pile sinks."""
+    state = settled["fast"]
+    if flies:
+        state = state.with_bodies(add=dc.make_bodies([[6.0, 30.0]], velocity=(0.0, 2.0)))
+    off = world_of(dc.simulate(state, steps=1).state, gravity=(0.0, 0.0))
+    after = dc.simulate(world_of(dc.simulate(off, steps=3).state, gravity=(0.0, -9.81)), steps=1).state
+    assert np.hypot(*after.bodies.velocity[:40].T).max() < 0.03
+
+
+def test_impulses_by_which_circles_move_faster_than_they_fall_are_solved_well(settled, monkeypatch):
+    """The floor is gone, and with it all that can rest: the relaxation parts circles that slide."""
+    called, solved = [], load_module._solved
+    monkeypatch.setattr(load_module, "_solved", lambda *arguments: called.append(0) or solved(*arguments))
+    dc.simulate(CHANGES["floor lowered"](settled["fast"]), steps=1)
+    assert called

@@ -86,14 +86,17 @@ def costs(n: int, only: str) -> list[dict]:
             wall = {"segments": [((x_min, y_max - 1.0), (x_max, y_max - 1.0))]}
             velocities = [((0.0, 1e-3), (0.0, 1e-3))]
             scene = state.replace(world=replace(state.world, **wall, segment_velocities=velocities))
-        live, still = (dc.Simulator(scene, accuracy="fast") for _ in range(2))
-        for run in (live, still):
+        first, live, still = (dc.Simulator(scene, accuracy="fast") for _ in range(3))
+        for run in (first, live, still):
             if "push" in name:
                 run.set(push=pushed(run, 0.0))
             if "restitution" in name:
                 run.set(restitution=1e-6)
             for _ in range(WARM):
                 run.step()
+        for k in range(3):  # loads the compiled code
+            change(first, k)
+            first.step()
         plain, changed, begun = [], [], time.thread_time()
         for k in range(count):
             times = [time.thread_time()]
