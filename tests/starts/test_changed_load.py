@@ -174,7 +174,7 @@ class Searched(Exception):
 def no_search(monkeypatch):
     """A search for other impulses raises `Searched`."""
 
-    def search(*_):
+    def search(*_, **__):
         raise Searched
 
     monkeypatch.setattr(load_module, "_relaxed", search)
@@ -203,11 +203,36 @@ def test_a_circle_that_falls_or_rolls_is_no_reason_for_a_search(velocity, no_sea
     assert after.contacts.normal_start.max() > 1.0
 
 
-def test_a_circle_that_is_kicked_is_a_reason(no_search):
-    state = pile_and(dc.make_bodies([[5.0, 6.0]], velocity=(0.0, -0.1)))
-    contacts = state.contacts._replace(normal_start=3.0 * state.contacts.normal_start)
-    with pytest.raises(Searched):
-        with_new_load(state.replace(contacts=contacts), dc.PGS(sweeps=1, tolerance=None))
+KICKED = {
+    "faster by less than 0.001 √(g r)": (1, [0.0], 0.003, False),
+    "faster by more": (1, [0.0], 0.0032, True),
+    "one contact, and as fast from zero": (1, [0.05], 0.05, False),
+    "one contact, and slower from zero": (1, [0.04], 0.05, True),
+    "two contacts, and as fast from zero": (2, [0.05], 0.05, True),
+    "no contact": (0, [0.0], 0.05, False),
+}
+"""What a circle does in a step of 0.0981 m/s by gravity -> contacts, speeds from zero and now, whether it is kicked."""
+
+
+@pytest.mark.parametrize("name", KICKED)
+def test_a_circle_is_kicked_if_it_becomes_faster_than_all_were_and_gravity_is_not_why(name):
+    """The pile has four more circles, which rest on two contacts each."""
+    contacts, (free,), speed, is_kicked = KICKED[name]
+    pairs = [(1, 2), (2, 3), (3, 4), (1, 6), (4, 6), *[(0, 6), (0, 7)][:contacts]]
+    state, ends = circles_at([[5.0 * k, 20.0] for k in range(1, 6)]), np.array(sorted(pairs)).T
+    velocity, from_zero = np.zeros((5, 2)), np.zeros((5, 2))
+    velocity[0, 0], from_zero[0, 0] = speed, free
+    fake = SimpleNamespace(bodies=state.bodies, world=state.world, dt=state.dt, push=None, contacts=tuple(ends))
+    assert load_module._kicks(fake, velocity, from_zero) == is_kicked
+
+
+@pytest.mark.parametrize(("before", "after", "is_kicked"), [(0.05, 0.14, False), (0.05, 0.16, True), (0.04, 0.1, True)])
+def test_a_circle_that_moves_on_may_gain_what_gravity_gives(before, after, is_kicked):
+    state = circles_at([[5.0, 1.0]], velocity=[[before, 0.0]])
+    fake = SimpleNamespace(
+        bodies=state.bodies, world=state.world, dt=0.01, push=None, contacts=np.array([[0, 0], [1, 2]])
+    )
+    assert load_module._kicks(fake, np.array([[after, 0.0]]), np.zeros((1, 2))) == is_kicked
 
 
 def test_after_a_small_change_impulses_stay_and_after_many_they_are_tested(monkeypatch):
@@ -226,12 +251,14 @@ def test_after_a_small_change_impulses_stay_and_after_many_they_are_tested(monke
     assert (counts[30], counts[31], counts[62], counts[63]) == (0, 1, 1, 2)
 
 
-def test_impulses_follow_gravity_and_gravity_that_is_switched_off_leaves_none(no_search):
+def test_impulses_follow_gravity_and_gravity_that_is_switched_off_leaves_none(no_search, monkeypatch):
     state = dc.simulate(dc.column(4, friction=0.5), steps=300, solver=SOLVER).state
     carried = state.contacts.normal_start
     for factor in (1.001, 0.5, 3.0, 0.0):
         after, _ = fitted(world_of(state, gravity=(0.0, -9.81 * factor)), SOLVER)
         np.testing.assert_allclose(after.contacts.normal_start, factor * carried, rtol=1e-12)
+    monkeypatch.setattr(load_module, "_left", None)  # no solve is needed to see this
+    assert not fitted(world_of(state, gravity=(0.0, 0.0)), SOLVER)[0].contacts.have_past
 
 
 def test_a_state_keeps_what_it_carries_where_its_load_is_its_own_or_unknown(no_search):

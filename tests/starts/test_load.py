@@ -134,6 +134,12 @@ def test_an_impulse_inside_the_lower_bound_loses_nothing():
     assert kept(state, world_of(state, friction=0.495)).spent == 0.0
 
 
+def test_an_impulse_beyond_its_bound_of_before_loses_no_more_than_one_at_the_bound():
+    """Sweeps change λ_n after λ_t, so that solved impulses may lie outside of the cone."""
+    state = resting(0.15)
+    assert kept(state, world_of(state, friction=0.495)).spent == pytest.approx(0.1 * 0.005)
+
+
 def test_lower_friction_adds_up_until_the_limit_is_spent():
     """Twice the limit in steps of a tenth; each step is of impulses at the bound of their own friction."""
     state, spent = resting(0.1), []
