@@ -287,3 +287,26 @@ def test_impulses_by_which_circles_move_faster_than_they_fall_are_solved_well(se
     monkeypatch.setattr(load_module, "_solved", lambda *arguments: called.append(0) or solved(*arguments))
     dc.simulate(CHANGES["floor lowered"](settled["fast"]), steps=1)
     assert called
+
+
+@pytest.mark.parametrize(
+    ("speeds", "is_changed", "expected"),
+    [
+        ([0.0, 0.0, 5.0], True, {"speed": 0.01, "needed": np.inf}),
+        ([0.0, 0.0, 0.1], True, {"speed": 0.01, "needed": 0.02}),
+        ([0.0, 0.0, 0.1], False, {"speed": 1e-4, "needed": 0.02}),
+        ([0.0, 0.0, 5.0], False, None),
+        ([0.0, 5.0, 5.0], True, None),
+    ],
+)
+def test_after_a_change_it_is_enough_that_most_circles_rest(speeds, is_changed, expected, monkeypatch):
+    """Speeds at which a search ends, as multiples of g Δt = 0.0981 m/s; without a search, impulses stay."""
+    called = []
+    monkeypatch.setattr(load_module, "at_rest", lambda *_, **how: called.append(how) or ("n", "t", 0.0))
+    state = circles_at([[5.0 * k, 5.0] for k in (1, 2, 3)], velocity=[[v, 0.0] for v in speeds])
+    found = load_module._relaxed(state, 1, 2, None, is_changed=is_changed)
+    if expected is None:
+        assert (called, found) == ([], (1, 2, False))
+    else:
+        assert found == ("n", "t", True)
+        assert called == [{"iterations": 2000} | {name: pytest.approx(0.0981 * x) for name, x in expected.items()}]
