@@ -39,9 +39,10 @@ CLOSE = 10.0
 RELAXED = 2000
 """Largest number of iterations of the convex relaxation (`impulses_at_rest`), which is used if circles hardly move."""
 
-ENDS, ENDS_AFTER_CHANGE = 1e-4, 0.01
-"""Rms speeds at which the iterations of the relaxation end, as multiples of g Δt, which gravity adds in a step: for a
-state without impulses, and after a change of the load. Real piles at rest hardly get below the second speed."""
+ENDS = 1e-4
+"""Rms speed at which the iterations of the relaxation end, as a multiple of g Δt, the speed that gravity adds in a
+step, for a state without impulses. After a change of the load they end at `RESTS`, since the steps that follow
+relax the impulses further."""
 
 RESTS = 0.02
 """Largest rms speed after the relaxation at which a pile counts as being at rest, as a multiple of g Δt."""
@@ -202,7 +203,7 @@ def _relaxed(
     velocity, gained, speed = state.bodies.velocity, state.dt * math.hypot(*state.world.gravity), math.inf
     is_slow, rests = np.mean(velocity**2) < gained**2, RESTS * gained
     if is_slow or (is_changed and np.median(np.hypot(*velocity.T)) < gained):
-        needed, ends = rests if is_slow else math.inf, gained * (ENDS_AFTER_CHANGE if is_changed else ENDS)
+        needed, ends = rests if is_slow else math.inf, rests if is_changed else ENDS * gained
         normal, tangent, speed = at_rest(problem, normal, tangent, iterations=RELAXED, speed=ends, needed=needed)
     return normal, tangent, not speed > rests
 

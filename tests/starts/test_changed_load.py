@@ -292,8 +292,8 @@ def test_impulses_by_which_circles_move_faster_than_they_fall_are_solved_well(se
 @pytest.mark.parametrize(
     ("speeds", "is_changed", "expected"),
     [
-        ([0.0, 0.0, 5.0], True, {"speed": 0.01, "needed": np.inf}),
-        ([0.0, 0.0, 0.1], True, {"speed": 0.01, "needed": 0.02}),
+        ([0.0, 0.0, 5.0], True, {"speed": 0.02, "needed": np.inf}),
+        ([0.0, 0.0, 0.1], True, {"speed": 0.02, "needed": 0.02}),
         ([0.0, 0.0, 0.1], False, {"speed": 1e-4, "needed": 0.02}),
         ([0.0, 0.0, 5.0], False, None),
         ([0.0, 5.0, 5.0], True, None),
