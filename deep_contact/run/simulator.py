@@ -13,14 +13,14 @@ from deep_contact.accuracy.presets import Accuracy, MeasuredAccuracy, PresetWarn
 from deep_contact.plot import notebook
 from deep_contact.run.method import RunOptions, method_of
 from deep_contact.starts.changed_load import (
-    has_new_load,
-    load_of,
+    fitted,
+    scaled_impulses,
     with_a_past,
-    with_new_load,
     with_shifted_flights,
     with_time_step,
 )
 from deep_contact.starts.classical import Builtin, NoStart, starting_impulses
+from deep_contact.starts.load import Anchor, anchor_of, kept_anchor, load_of, share_of_gravity
 from deep_contact.starts.names import Start, WarmStart
 from deep_contact.state.arrays import LIMITS, Bodies, Contacts
 from deep_contact.state.fields import checked_indices, checked_push, checked_velocities, warn_of_jumps
@@ -42,7 +42,7 @@ from deep_contact.stepping.log import (
     some_steps,
 )
 from deep_contact.stepping.memory import Steps
-from deep_contact.stepping.prepare import find_contacts, ready
+from deep_contact.stepping.prepare import ready
 from deep_contact.stepping.problem import StepProblem
 from deep_contact.stepping.sleeping import wake_pushed
 
@@ -148,12 +148,18 @@ class Simulator:
         dt: time step, s. push: as in `simulate`; forces of 0 end a push. Raises ValueError, and changes nothing, on
         values that `World` refuses.
         """
-        fields = {"gravity": gravity, "friction": friction, "restitution": restitution, "segments": segments}
-        if dt is None and push is None and not any(value is not None for value in fields.values()):
-            if segment_velocities is None or self._set_velocities(segment_velocities):
+        fields = {"gravity": gravity, "friction": friction, "restitution": restitution}
+        fields = {name: value for name, value in fields.items() if value is not None}
+        if dt is None and segments is None:
+            if segment_velocities is None:
+                is_set = not callable(push) and self._set_load(fields, push)
+            else:
+                is_set = not fields and push is None and self._set_velocities(segment_velocities)
+            if is_set:
                 return
-        fields |= {"segment_velocities": segment_velocities}
-        fields, state = {name: value for name, value in fields.items() if value is not None}, self.state
+        others, state = {"segments": segments, "segment_velocities": segment_velocities}, self.state
+        others = {name: value for name, value in others.items() if value is not None}
+        fields |= others
         if segments is not None:  # old velocities and surface speeds may not fit the number of segments
             for name in ("segment_velocities", "surface_speeds"):
                 kept = getattr(state.world, name)
@@ -165,9 +171,52 @@ class Simulator:
                     self._has_warned = warn_of_jumps(state.world, world)
                 stays = contacts.body_b < state.bodies.count + 4 + len(world.segments)
                 contacts = Contacts(*(values[stays] for values in contacts))
-            # A preset chooses the solver again, since a faster segment may need more substeps.
-            state = replace(state, world=world, contacts=contacts, preset=None)
+            # A preset chooses the solver again for other segments, since a faster segment may need more substeps.
+            state = replace(state, world=world, contacts=contacts, preset=None if others else state.preset)
         self._change(state if dt is None else with_time_step(state, dt), push)
+
+    def _set_load(self, changes: dict, push) -> bool:
+        """Set gravity, friction, restitution and the push in place, if possible. This is faster than `_change`.
+
+        It is possible if the change is so small that the carried impulses stay (`load.kept_anchor`), and if the step
+        needs no other code. A preset then keeps its solver. changes: the new fields of the world. push: array of
+        forces, or a tuple with torques; None leaves the push as it is. Returns whether all was set.
+        """
+        if not changes and push is None:
+            return True
+        scene, inputs, contacts = self._scene, self._inputs, self._now.contacts
+        constants = World(**changes)
+        strongest, roughest = LIMITS["world.gravity"][1], LIMITS["world.friction"][1]
+        if max(map(abs, constants.gravity)) > strongest or constants.friction > roughest:
+            return False  # `_change` raises
+        world = changed(scene.world, **{name: getattr(constants, name) for name in changes})
+        state = changed(scene, world=world, contacts=contacts)
+        if push is not None:
+            state = changed(state, push=checked_push(push, scene.bodies.count))
+            if inputs.actuation is None or callable(self._options.push):
+                return False
+        solver, options = scene.solver, self._options
+        if options.solver is not None and options.accuracy is None:
+            solver = options.solver.for_state(state)
+        anchor = kept_anchor(self._anchor, scene.world, state)
+        if anchor is None or not self._steps.takes(solver):
+            return False
+        self._steps.wake()
+        if (share := share_of_gravity(scene.world, self._anchor, state)) != 1.0:
+            contacts = scaled_impulses(contacts, share, is_solved=self._now.solved)
+        self._now = self._origin = self._now._replace(contacts=contacts)
+        self._scene, self._anchor = changed(scene, world=world, push=state.push, solver=solver), anchor
+        self._kind = solver, *self._kind[1:]
+        if "gravity" in changes:
+            self._scales = scales_of(state, solver)
+        if push is not None:
+            self._options, self._push = options._replace(push=state.push), state.push
+            force, torque = state.push
+            inputs = inputs._replace(actuation=inputs.actuation._replace(force=force, torque=torque))
+        constants = {"friction": world.friction, "restitution": world.restitution}
+        constants = {name: value for name, value in constants.items() if getattr(inputs, name) is not None}
+        self._inputs = inputs._replace(gravity=world.gravity, scales=self._scales, **constants)
+        return True
 
     def _set_velocities(self, segment_velocities) -> bool:
         """Set the velocities of the segments in place, if possible. This is faster than `_change`.
@@ -230,8 +279,8 @@ class Simulator:
         self._options = options
         self._go_on(*prepared)
 
-    def _go_on(self, state: StateWithContacts, start: WarmStart) -> None:
-        """Continue from a validated state that has a solver and starting impulses (`_prepared`)."""
+    def _go_on(self, state: StateWithContacts, start: WarmStart, anchor: Anchor) -> None:
+        """Continue from a validated state that has a solver and starting impulses, with their anchor (`_prepared`)."""
         solver, n, sleep = state.solver, state.bodies.count, self._options.sleep
         block, moved = in_one_block(state.bodies[:4])
         bodies = Bodies(*moved, *map(np.copy, state.bodies[4:]))
@@ -249,6 +298,7 @@ class Simulator:
             self._steps.memory(inputs, contacts.count)
         self._steps.wake()
         self._kind, self._start, self._scene, self._scales, self._inputs = kind, start, scene, scales, inputs
+        self._anchor = anchor
         # Without friction, tangent rows are left out once no contact starts from a tangent impulse.
         self._may_lose_tangents = scene.world.friction == 0.0 and entry_of(solver).advance is None
         self._is_one_solve = changed(scene, solved=True).holds_solution
@@ -308,7 +358,7 @@ class Simulator:
         push = None if callable(self._options.push) else self._scene.push
         fields = {"world": self._world(), "bodies": bodies, "contacts": contacts, "push": push, "solved": solved}
         state = changed(self._scene, **fields, step=step, time=time)
-        return changed(state, load=load_of(state))
+        return changed(state, load=load_of(state, self._anchor))
 
     def _world(self) -> World:
         """Return the world with its segments at their present positions."""
@@ -430,7 +480,7 @@ def _restored(state: StateWithContacts, start: WarmStart, options: RunOptions) -
     """Return a `Simulator` that continues from the state of a pickled simulator."""
     simulator = Simulator.__new__(Simulator)
     simulator._options, simulator._steps = options, None
-    simulator._go_on(state, start)
+    simulator._go_on(state, start, state.load.anchor)
     return simulator
 
 
@@ -442,10 +492,10 @@ def _raise_diverged(bodies: Bodies, step: int) -> None:
     )
 
 
-def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, WarmStart]:
-    """Return (state, start) for the beginning of a run.
+def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, WarmStart, Anchor]:
+    """Return (state, start, anchor) for the beginning of a run.
 
-    The state is validated, and has the solver of the run and its starting impulses.
+    The state is validated, and has the solver of the run and its starting impulses, to which the anchor belongs.
     """
     first, state = state, ready(state)
     accuracy, push = options.accuracy, options.push
@@ -459,12 +509,12 @@ def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, War
         warn(sentence, PresetWarning)
     # Only at the beginning of a run, so that a run has the same result in one call and in several calls.
     if decision and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
-        state = with_a_past(state)
-    elif has_new_load(state):
-        state = find_contacts(state)
-        state = state if isinstance(start, NoStart) else with_new_load(state, solver)
+        state, anchor = with_a_past(state), anchor_of(state)
+    else:
+        carries = first.contacts is not None and not isinstance(start, NoStart)
+        state, anchor = fitted(state, solver, carries=carries)
     if state.solver is not None:
         state = with_shifted_flights(state, state.dt / state.solver.substeps - state.dt / solver.substeps)
     # A solved state is solved again from its starting impulses. A resumed run thus repeats the steps of the first run.
     preset = accuracy if isinstance(accuracy, str) else state.preset if solver == state.solver else None
-    return changed(state, solver=solver, preset=preset), start
+    return changed(state, solver=solver, preset=preset), start, anchor

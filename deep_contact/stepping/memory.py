@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from deep_contact.compiled.direct import Direct
@@ -50,6 +52,19 @@ class Steps:
         """Wake all islands."""
         if self.sleep is not None:
             self.sleep.still[:] = 0.0
+
+    def takes(self, solver) -> bool:
+        """Take other options of the solver for the following steps, if nothing but the tolerance differs.
+
+        Returns whether the options are taken.
+        """
+        if solver == self._solver:
+            return True
+        if replace(solver, tolerance=self._solver.tolerance) != self._solver:
+            return False
+        self._solver, self._contexts = solver, {}
+        self._options = self._options._replace(settings=entry_of(solver).settings(solver))
+        return True
 
     def memory(self, step: StepInput, contacts: int = 0) -> StepMemory:
         """The memory of these steps, which differs for rows with and without tangents. contacts: their number."""
@@ -128,9 +143,9 @@ class Steps:
                 step = step if self._is_plain else self._with_optional(step)
                 kind = self._is_plain, key, step.actuation is None  # what the types of all arguments depend on
                 if kind not in self._direct:
-                    self._direct[kind] = Direct(self._advance)
-                context = self._context_of(step, buffer, contacts, log, built)
-                advance_steps = self._direct[kind]
+                    self._direct[kind] = Direct(make_context), Direct(self._advance)
+                make, advance_steps = self._direct[kind]
+                context = self._context_of(step, buffer, contacts, log, built, make)
                 if built is None:
                     self._contexts[buffer, self._is_plain] = asked, step, context, advance_steps
             m, pair_impulses = advance_steps(context, contacts, step.motion, self.sleep, log, step.actuation)
@@ -144,16 +159,18 @@ class Steps:
             self._is_plain, contacts, log, built = False, following, log._replace(pair_impulses=pair_impulses), None
             buffer = self._buffer_of(following, key)
 
-    def _context_of(self, step: StepInput, buffer: int, contacts: Contacts, log: StepLog, built) -> StepContext:
+    def _context_of(
+        self, step: StepInput, buffer: int, contacts: Contacts, log: StepLog, built, make: Direct
+    ) -> StepContext:
         """The context of steps from contacts in this buffer. It serves until the input of the steps changes.
 
-        built: fields of the memory that are filled already for a single step, or None.
+        built: fields of the memory that are filled already for a single step, or None. make: `make_context`.
         """
         before, context = self._contexts.get(buffer, (None, None))
         if built is not None or before is not step:
             memory = self._memories(step, contacts.count)[buffer]
             memory = memory._replace(**built) if built else memory
-            context = make_context(step, self._options, memory, contacts, log)
+            context = make(step, self._options, memory, contacts, log)
             if built is None:
                 self._contexts[buffer] = step, context
         return context

@@ -2,6 +2,7 @@
 
 import pickle
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -107,6 +108,115 @@ def test_what_is_set_holds_from_there_on(changes, pile):
     with pytest.raises(ValueError, match="friction: expected"):
         run.set(friction=-1.0)
     assert run.state.world == world
+
+
+def turned(angle, strength=9.81):
+    return strength * np.sin(angle), -strength * np.cos(angle)
+
+
+def forces(newtons):
+    return np.array([[newtons, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, newtons]])
+
+
+SMALL = {
+    "gravity turned": lambda k: {"gravity": turned(1e-3 * k)},
+    "gravity stronger": lambda k: {"gravity": turned(0.0, 9.81 + 0.02 * k)},
+    "gravity weaker": lambda k: {"gravity": turned(0.0, 9.81 - 0.02 * k)},
+    "friction": lambda k: {"friction": 0.4 - 5e-4 * k},
+    "restitution": lambda k: {"restitution": 0.1 + 5e-4 * k},
+    "push": lambda k: {"push": forces(0.03 * k)},
+    "push with torques": lambda k: {"push": (forces(0.02 * k), np.full(4, -0.01 * k))},
+    "all": lambda k: {"push": forces(0.01 * k), "gravity": turned(1e-4 * k), "friction": 0.4 - 1e-4 * k},
+}
+"""What changes by little -> the k-th change."""
+
+
+@pytest.mark.parametrize("how", [{"solver": dc.PGS()}, {"solver": dc.BatchedPGS(sweeps=8)}, {"accuracy": "fast"}])
+@pytest.mark.parametrize("name", SMALL)
+def test_small_changes_are_set_in_place_with_the_bits_of_changed_states(name, how):
+    """PGS() ends its sweeps at a tolerance that follows gravity."""
+    scene = dc.column(4, friction=0.4)
+    scene = scene.replace(world=replace(scene.world, restitution=0.1 * (name == "restitution")))
+    if name == "friction":  # discs that slide on a slope, with λ_t at its bound
+        centres = [[5.0, 1.0], [10.0, 1.0], [15.0, 1.0], [20.0, 1.0]]
+        scene = circles_at(centres, box=(0, 0, 99, 30), friction=0.4, gravity=turned(1.1))
+    nothing = forces(0.0) if "push" in SMALL[name](0) else None
+    state = dc.simulate(scene, steps=40, push=nothing, **how).state
+    run, made = dc.Simulator(state, push=nothing, **how), []
+    run._change = lambda *_: made.append(0)
+    for k in range(1, 9):
+        changes = SMALL[name](k)
+        run.set(**changes)
+        run.step()
+        push = changes.pop("push", None)
+        state = state.replace(world=replace(state.world, **changes))
+        state = dc.simulate(state, steps=1, push=push, **how).state
+    assert not made
+    assert run.state == state
+    assert run.state.load == state.load
+    assert (run.state.load.anchor.spent > 0.0) == (name == "friction")
+    assert (run.state.solver, run.state.preset) == (state.solver, state.preset)
+    assert run._inputs.scales.sleep_speed == run.state.scales.sleep_speed
+
+
+def test_a_preset_keeps_its_solver_while_the_load_is_near():
+    """Circles that fell fast have got substeps, which they need no more when they rest."""
+    scene = dc.column(3)
+    scene = scene.replace(bodies=scene.bodies._replace(velocity=np.full((3, 2), [0.0, -60.0])))
+    state = dc.simulate(scene, steps=60, accuracy="fast").state
+    anew = dc.simulate(state.replace(solver=None), steps=0, accuracy="fast").state.solver
+    assert anew.substeps < state.solver.substeps
+    run = dc.Simulator(state, accuracy="fast")
+    for gravity, solver in (((1e-3, -9.81), state.solver), ((1.0, -9.81), anew)):
+        changed = state.replace(world=replace(state.world, gravity=gravity))
+        run.set(gravity=gravity)
+        assert run.state.solver == dc.simulate(changed, steps=0, accuracy="fast").state.solver == solver
+
+
+def test_a_small_change_wakes_what_sleeps():
+    run = dc.Simulator(dc.column(3, friction=0.4), solver=dc.PGS(sweeps=8), sleep=True)
+    run.step(100)
+    assert run._steps.sleep.still.max() > 0.0
+    run.set(gravity=(1e-4, -9.81))
+    assert run._steps.sleep.still.max() == 0.0
+
+
+def test_changes_that_add_up_are_not_set_in_place():
+    """Gravity turned by 1e-3 rad a step; 0.001 √(g r) is Δt g times 31.9e-3 rad."""
+    run, made = dc.Simulator(dc.column(4, friction=0.4), solver=dc.PGS(sweeps=8)), []
+    change = run._change
+    run._change = lambda *arguments: made.append(k) or change(*arguments)
+    run.step(40)
+    for k in range(1, 100):
+        run.set(gravity=turned(1e-3 * k))
+        run.step()
+    assert made == [32, 64, 96]
+
+
+def test_a_change_in_place_refuses_what_a_world_refuses_and_leaves_all_as_it_was(pile):
+    run = dc.Simulator(pile[0], **pile[1])
+    run.step(40)
+    before = run.state
+    for bad in ({"friction": -1.0}, {"gravity": (0.0, 1e7)}, {"restitution": 2.0}, {"push": [[1.0, 2.0]]}):
+        with pytest.raises(ValueError, match="expected"):
+            run.set(**{"gravity": (1e-3, -9.81)} | bad)
+        assert run.state == before
+        assert run.state.load == before.load
+    heavy = dc.Simulator(circles_at([[5.0, 5.0]], gravity=(0.0, -1e6)), **pile[1])
+    with pytest.raises(ValueError, match=r"gravity.*expected"):
+        heavy.set(gravity=(0.0, -1e6 - 10.0))
+
+
+def test_a_solver_for_another_tolerance_is_not_taken_for_that_of_before(pile):
+    """The tolerance follows gravity. It is that of the beginning when gravity and e are set, and e needs other code."""
+    run = dc.Simulator(pile[0], solver=dc.PGS())
+    run.step(40)
+    for change in ({"gravity": (0.0, -9.83)}, {"gravity": (0.0, -9.81), "restitution": 0.5}):
+        run.set(**change)
+        expected = dc.PGS().for_state(run.state)
+        assert run.state.solver == run._steps._solver == expected
+        assert run._steps._options.settings.tolerance == expected.tolerance
+        run.step(2)
 
 
 def test_the_time_step_can_be_set_and_scales_what_is_carried(pile):
