@@ -457,6 +457,8 @@ class Simulator:
         shifts, shown = log.shifts, ()
         if is_watched:
             world, push = self._world_in_step(), self._push
+            if not self._is_one_solve:
+                log = log._replace(pair_impulses=self._solved_memory.rows(contacts))
             if scene.world.restitution > 0.0:
                 log = log._replace(shifts=np.zeros((scene.bodies.count, 2)))
         begun = time.perf_counter()

@@ -8,7 +8,7 @@ import numpy as np
 
 from deep_contact.compiled.direct import Direct
 from deep_contact.state.arrays import Contacts
-from deep_contact.stepping.log import write_step
+from deep_contact.stepping.log import write_rows, write_step
 
 MOST_BLOCKS = 3
 """Largest number of blocks that are kept for later steps: those of the last two steps, and one for the next step."""
@@ -26,7 +26,19 @@ class SolvedMemory:
 
     def __init__(self):
         self._blocks: list[np.ndarray] = []
-        self._write = Direct(write_step)
+        self._rows = np.empty((0, 8))
+        self._write, self._write_rows = Direct(write_step), Direct(write_rows)
+
+    def rows(self, contacts: Contacts) -> np.ndarray:
+        """Return `StepLog.pair_impulses` for a step that starts with these contacts. The next call returns this memory.
+
+        A step adds rows, in memory of its own, only for contacts that begin during the step.
+        """
+        m = contacts.count
+        if len(self._rows) < m:
+            self._rows = np.empty((m + m // 8 + 16, 8))
+        self._write_rows(contacts, self._rows)
+        return self._rows[:m]
 
     def copy(
         self, moved: tuple[np.ndarray, ...], contacts: Contacts, pair_impulses: np.ndarray

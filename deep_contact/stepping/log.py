@@ -161,7 +161,7 @@ def log_impulses(log, pair_impulses, contacts, impulse, n):
     (m, 2), N·s. n: number of circles. Returns `pair_impulses` with these impulses added if the step is watched. It is
     the same array if it has a row for each contact, and otherwise a larger one.
     """
-    m, j = impulse.shape[0], 0
+    m = impulse.shape[0]
     for i in range(m if log.loads.shape[0] > 0 else 0):
         wall = contacts.body_b[i] - n
         if wall >= 0:
@@ -175,18 +175,31 @@ def log_impulses(log, pair_impulses, contacts, impulse, n):
                 log.on_circles[b, axis] += impulse[i, axis]
     if m == 0 or log.progress[WATCHED] == 0:
         return pair_impulses
-    # Contacts mostly have the pairs of the rows. The first contact of another pair asks for a row.
-    has_rows, k = False, pair_impulses.shape[0]
-    for i in range(m):
-        pair = pair_of(contacts, i)
-        if not has_rows and (j == k or pair_impulses[j, PAIR] != pair):
-            pair_impulses, has_rows = with_pairs(pair_impulses, contacts), True
-        while pair_impulses[j, PAIR] < pair:
-            j += 1
-        pair_impulses[j, P_X] += impulse[i, 0]
-        pair_impulses[j, P_Y] += impulse[i, 1]
-        j += 1
+    # Contacts mostly have the pairs of the rows.
+    added = add_to_rows(pair_impulses, contacts, impulse, 0)
+    if added < m:
+        pair_impulses = with_pairs(pair_impulses, contacts)
+        add_to_rows(pair_impulses, contacts, impulse, added)
     return pair_impulses
+
+
+@njit(cache=True, _nrt=False)
+def add_to_rows(rows, contacts, impulse, first):
+    """Add the impulses of the contacts from index `first` on to `StepLog.pair_impulses`, in place, if they have rows.
+
+    impulse: (m, 2), N·s. Returns the index of the first contact whose pair has no row, or the number of contacts.
+    """
+    k, m, j = rows.shape[0], contacts.body_a.shape[0], first
+    for i in range(first, m):
+        pair = pair_of(contacts, i)
+        while j < k and rows[j, PAIR] < pair:
+            j += 1
+        if j == k or rows[j, PAIR] > pair:
+            return i
+        rows[j, P_X] += impulse[i, 0]
+        rows[j, P_Y] += impulse[i, 1]
+        j += 1
+    return m
 
 
 @njit(cache=True)
@@ -244,7 +257,17 @@ def pair_of(contacts, i):
     return contacts.body_a[i] * MOST_BODIES + contacts.body_b[i]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, _nrt=False)
+def write_rows(contacts, rows):
+    """Write a row of `StepLog.pair_impulses` with an impulse of 0 for each of m contacts. rows: (m, 8)."""
+    for i in range(contacts.body_a.shape[0]):
+        rows[i, PAIR], rows[i, SEPARATION] = pair_of(contacts, i), contacts.separation[i]
+        rows[i, X], rows[i, Y] = contacts.position[i, 0], contacts.position[i, 1]
+        rows[i, N_X], rows[i, N_Y] = contacts.normal[i, 0], contacts.normal[i, 1]
+        rows[i, P_X] = rows[i, P_Y] = 0.0
+
+
+@njit(cache=True, error_model="numpy", _nrt=False)
 def write_step(moved, contacts, pair_impulses, pairs, numbers):
     """Write copies of circles, and all contacts of a step with their impulses summed over it, into two flat arrays.
 

@@ -90,9 +90,9 @@ print(f"sheared by {strain:.1%}: {max(ratios):.2f} is the largest ratio of stres
 
 figure, (ax, beside) = dc.plotting.subplots(1, 2)
 fractions, touching = zip(*packings)
-ax.semilogx(pressures, fractions, "o-")
+ax.plot(pressures, fractions, "o-")
 dc.plotting.label_axes(ax, "pressure", "solid fraction", x_unit="N/m")
-beside.semilogx(pressures, touching, "s-")
+beside.plot(pressures, touching, "s-")
 dc.plotting.label_axes(beside, "pressure", "contacts of a disc", x_unit="N/m")
 dc.plotting.save(figure, "biaxial.png")
 figure, (ax, beside) = dc.plotting.subplots(1, 2)
