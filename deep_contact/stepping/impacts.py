@@ -108,14 +108,14 @@ class Round(NamedTuple):
 def logged_rebound(context, motion, contacts, log, actuation):
     """Do `rebound`, and log the work that is done in it. Returns the impulses on second bodies, (m, 2), N·s.
 
-    The array is (0, 2) if the impulses are not needed. context: `StepContext`. motion: `Motion` of its step, or None if
-    no optional features are compiled; then there is no restitution either. contacts: m contacts. log: `StepLog`.
-    actuation: `Actuation` of the step, or None.
+    The array is (0, 2) if the impulses are not needed, or if e is 0, so that there are none. context: `StepContext`.
+    motion: `Motion` of its step, or None if no optional features are compiled; then there is no restitution either.
+    contacts: m contacts. log: `StepLog`. actuation: `Actuation` of the step, or None.
     """
     impulse = log.loads[:0]
     if motion is not None:
         step = context.substep
-        if is_asked(log) or actuation is not None:
+        if step.restitution > 0.0 and (is_asked(log) or actuation is not None):
             impulse = np.zeros((contacts.body_a.shape[0], 2))
         work = rebound(step, contacts, impulse, actuation)
         if actuation is not None:

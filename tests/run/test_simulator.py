@@ -299,6 +299,96 @@ def test_a_wall_that_becomes_fast_is_divided_whichever_of_its_ends_moves_and_whe
     assert run.state.world.segment_velocities == (tuple(sign * 400.0 * velocity),)
 
 
+ROLLERS = np.array([True, False, True, False, False])
+
+
+def rollers(**world):
+    """Two fixed circles, 0 and 2, with discs on them."""
+    places = [[5.0, 3.0], [4.0, 5.0], [8.0, 3.0], [6.5, 5.2], [8.5, 5.5]]
+    return circles_at(places, fixed=ROLLERS, box=(-9.0, 0.0, 22.0, 20.0), friction=0.5, **world)
+
+
+@pytest.mark.parametrize("how", [{"solver": dc.PGS(sweeps=8)}, {"solver": dc.BatchedPGS(sweeps=8)}, {"sleep": True}])
+@pytest.mark.parametrize("restitution", [0.0, 0.6])
+def test_motions_of_fixed_circles_that_are_set_are_those_of_a_state_that_has_them(how, restitution):
+    state = rollers(restitution=restitution)
+    live = dc.Simulator(state, **({"solver": dc.PGS(sweeps=8)} | how))
+    for k in range(60):
+        velocity, spin = np.array([[0.02 * k, 0.1], [-0.3, 0.0]]), np.array([-0.3 * k, 2.0])
+        live.set(fixed_velocities=velocity, fixed_spins=spin)
+        before = live.state
+        np.testing.assert_array_equal(before.bodies.velocity[ROLLERS], velocity)
+        np.testing.assert_array_equal(before.bodies.spin[ROLLERS], spin)
+        live.step()
+        if "sleep" not in how:
+            state_velocity, state_spin = state.bodies.velocity.copy(), state.bodies.spin.copy()
+            state_velocity[ROLLERS], state_spin[ROLLERS] = velocity, spin
+            bodies = state.bodies._replace(velocity=state_velocity, spin=state_spin)
+            state = dc.simulate(state.replace(bodies=bodies), steps=1, **how).state
+            assert live.state == state
+    assert np.abs(live.state.bodies.spin[~ROLLERS]).max() > 0.5  # they turn what lies on them
+
+
+def test_one_value_is_for_all_fixed_circles_and_the_other_stays():
+    live = dc.Simulator(rollers(), solver=dc.PGS(sweeps=8))
+    live.set(fixed_velocities=(1.0, 0.5))
+    live.set(fixed_spins=3.0)
+    assert live.velocities[ROLLERS].tolist() == [[1.0, 0.5]] * 2
+    assert live.state.bodies.spin[ROLLERS].tolist() == [3.0, 3.0]
+    live.set(fixed_spins=[1.0, -1.0], gravity=(0.0, -5.0))
+    assert live.velocities[ROLLERS].tolist() == [[1.0, 0.5]] * 2
+    assert live.state.bodies.spin.tolist()[::2][:2] == [1.0, -1.0]
+    assert live.state.world.gravity == (0.0, -5.0)
+    live.step(10)
+    np.testing.assert_allclose(live.positions[0], [5.1, 3.05])
+
+
+def test_a_disc_between_two_rollers_turns_with_their_surfaces():
+    """ω r = −Ω R, from any spin before."""
+    live = dc.Simulator(circles_at([[5.0, 3.0], [8.0, 3.0], [6.5, 4.4]], fixed=np.arange(3) < 2, friction=0.5))
+    for spin in (2.0, -3.0):
+        live.set(fixed_spins=spin)
+        live.step(400)
+        assert live.state.bodies.spin[2] == pytest.approx(-spin, rel=1e-6)
+        np.testing.assert_allclose(live.positions[2], [6.5, 3.0 + np.sqrt(4.0 - 1.5**2)], atol=0.02)
+
+
+def test_a_preset_decides_anew_for_a_fixed_circle_that_becomes_fast_and_not_for_a_slower_one():
+    start = rollers()
+    bodies = start.bodies._replace(velocity=np.where(ROLLERS[:, None], [0.5, 0.0], 0.0))
+    live = dc.Simulator(start.replace(bodies=bodies), accuracy="fast")
+    slow, inputs = live.state.solver.substeps, live._inputs
+    live.set(fixed_velocities=[[-0.3, 0.4], [0.0, 0.0]])
+    assert live._inputs is inputs
+    live.set(fixed_velocities=(100.0, 0.0))
+    assert live.state.solver.substeps > slow
+    assert live.velocities[ROLLERS].tolist() == [[100.0, 0.0]] * 2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"fixed_velocities": 1.0},
+            r"fixed_velocities: expected a finite pair, m/s, for all .* each of the 2, got 1.0",
+        ),
+        ({"fixed_velocities": [[1.0, 2.0]] * 3}, "fixed_velocities: expected"),
+        ({"fixed_spins": [1.0, np.nan]}, "fixed_spins: expected a finite number, rad/s"),
+        ({"fixed_spins": "fast"}, "fixed_spins: expected"),
+        ({"fixed_velocities": (1e11, 0.0)}, r"bodies\.velocity\[0, 0\]: expected -1e\+10 to 1e\+10 m/s"),
+        ({"fixed_spins": 1e11, "gravity": (0.0, 0.0)}, r"bodies\.spin\[0\]: expected"),
+    ],
+)
+def test_motions_of_fixed_circles_that_cannot_be_are_refused(change, message):
+    live = dc.Simulator(rollers(), solver=dc.PGS(sweeps=8))
+    before = live.state
+    with pytest.raises(ValueError, match=message):
+        live.set(**change)
+    assert live.state == before
+    with pytest.raises(ValueError, match="fixed_spins: expected"):
+        dc.Simulator(dc.column(1)).set(fixed_spins=1.0)  # none is fixed
+
+
 def test_time_goes_on_by_each_step_of_its_own():
     run = dc.Simulator(dc.column(2), solver=dc.PGS(sweeps=8))
     run.step(10)
