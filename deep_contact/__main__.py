@@ -272,7 +272,7 @@ def _scene(args):
     from dataclasses import replace
 
     import deep_contact as dc
-    from deep_contact.starts.changed_load import load_of
+    from deep_contact.starts.load import load_of
     from deep_contact.state.validation import expect, integer
 
     if args.sweeps is not None:

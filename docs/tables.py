@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import re
 import sys
-from collections import Counter
+from statistics import median
 
 import measured
 from deep_contact.accuracy.presets import PRESETS
@@ -67,29 +68,77 @@ def engine(kind: str = "settled") -> list[list]:
 
 
 def noticed() -> list[list]:
-    """What was done to find what the tests overlook."""
-    fuzz = stored("fuzz")["targets"]
+    """What was done to find what the tests overlook, each with the commit at which it was done."""
+    soak, fuzz = stored("soak"), stored("fuzz")["targets"]
+
+    def at(record, again=None):
+        return f"{record['provenance']['commit'][:8]}{f'; survivors again at {again[:8]}' if again else ''}"
 
     def mutants(text, name):
         record = stored(name)
         explained = sum(found["explained"] is not None for found in record["mutants"].values())
-        return [f"mutants of {text}", record["tried"], record["killed"], explained]
+        when = at(record, record.get("tried_again", {}).get("commit"))
+        return [f"mutants of {text}", record["tried"], record["killed"], explained, when]
 
+    longest = max(unit["steps"] for unit in soak["units"])
+    parted = sum(not unit["same"] or unit["outside"] > 0 for unit in soak["units"])
     return [
-        ["tried", "how many", "found", "explained"],
+        ["tried", "how many", "found", "explained", "at commit"],
         mutants("`physics/` and `sph/`", "mutants"),
         mutants("modules that the first sample hardly met", "mutants_late"),
         *(
-            [f"fuzzing, {name}: crashes or hangs", f"{one['inputs']:,}", len(one["faults"]), None]
+            [f"fuzzing, {name}: crashes or hangs", f"{one['inputs']:,}", len(one["faults"]), None, at(one)]
             for name, one in fuzz.items()
         ),
+        [f"runs of up to {longest:,} steps: other bits, or a circle outside", len(soak["units"]), parted, None, at(soak)],
     ]
 
 
 def presets() -> list[list]:
-    """The errors of a run, and what each preset tolerates."""
+    """The errors of a run: what each preset tolerates, and in brackets the median of the scenes outside of the study."""
+    found = {}
+    for row in stored("run_tradeoff_verify")["data"]["rows"]:
+        for name, error in row["errors"].items():
+            if error is not None:
+                found.setdefault((row["preset"], name), []).append(abs(error[0]))
+    medians = {case: median(errors) for case, errors in found.items()}
     rows = [["error of a run", *PRESETS]]
-    return rows + [[text, *(f"{PRESETS[preset][name]:g}" for preset in PRESETS)] for name, text in ERRORS.items()]
+    return rows + [
+        [text, *(f"{PRESETS[preset][name]:g} ({medians[preset, name]:.2g})" for preset in PRESETS)]
+        for name, text in ERRORS.items()
+    ]
+
+
+def units(radius: float = 0.01) -> list[list]:
+    """What the presets tolerate of lengths and speeds, in mm and mm/s. radius: mean radius of the circles, m."""
+    scales = {", % of r": (10 * radius, "mm"), ", % of √(g r)": (10 * math.sqrt(9.81 * radius), "mm/s")}
+    rows = [[f"at r = {100 * radius:g} cm", *PRESETS]]
+    for name, text in ERRORS.items():
+        for end, (of_a_percent, unit) in scales.items():
+            if text.endswith(end):
+                values = (f"{PRESETS[preset][name] * of_a_percent:.2g}" for preset in PRESETS)
+                rows.append([f"{text.removesuffix(end)}, {unit}", *values])
+    return rows
+
+
+def costs() -> list[list]:
+    """What the presets take on plain piles, µs for 10 ms of simulated time."""
+    us = {(row["n_bodies"], row["preset"]): row["kinds"]["plain"] for row in stored("figure_6_1")["data"]["presets"]}
+    rows = [["circles", *PRESETS]]
+    return rows + [
+        [f"{n:,}", *(_us(us[n, preset]["us"]) if us[n, preset] else None for preset in PRESETS)]
+        for n in dict.fromkeys(n for n, _ in us)
+    ]
+
+
+def each_rival() -> list[list]:
+    """The time of each other engine over ours on plain piles, by size and preset."""
+    rows = [["circles", "engine", *PRESETS]]
+    for n in dict.fromkeys(row["n_bodies"] for row in stored("figure_6_1")["data"]["presets"]):
+        for engine in measured.OTHERS:
+            times = (measured.over_ours(engine, n, preset) for preset in PRESETS)
+            rows.append([f"{n:,}", engine, *(time and f"{time:.1f}" for time in times)])
+    return rows
 
 
 def interval_of(value: float | None, low: float | None, high: float | None) -> str | None:
@@ -106,8 +155,8 @@ def rivals() -> list[list]:
 
 
 def rivals_short() -> list[list]:
-    """`rivals` without ranges and settings."""
-    return [[cell.partition(" (")[0] if cell else cell for cell in row[:-1]] for row in rivals()]
+    """`rivals` without settings."""
+    return [row[:-1] for row in rivals()]
 
 
 def sph_start() -> list[list]:
@@ -147,6 +196,16 @@ def first_calls() -> list[list]:
     return [["scene", "first call, s"], *([name, f"{seconds:.2f}"] for name, seconds in found.items())]
 
 
+def compiling() -> list[list]:
+    """What a first step compiles by the kind of scene: functions, lines, and processor time beside that of before."""
+    rows = [["first step of", "functions", "lines for LLVM", "processor time, s", "before, s", "ratio"]]
+    for kind, row in stored("compile_cost")["kinds"].items():
+        now, before = (median(row[side]["seconds"]) for side in ("now", "before"))
+        counts = (f"{row['now'][name]:,}" for name in ("functions", "lines"))
+        rows.append([kind, *counts, f"{now:.1f}", f"{before:.1f}", f"{now / before:.2f}"])
+    return rows
+
+
 def kinds() -> list[list]:
     """What "fast" and "reference" cost for each kind of scene, in those of a plain pile of its size."""
     costs = {(row["n_bodies"], row["preset"]): row["kinds"] for row in stored("figure_6_1")["data"]["presets"]}
@@ -183,11 +242,8 @@ def ratios(found: list[dict]) -> dict[int, list]:
     return {n: [of[n, preset] for preset in PRESETS] for n in dict.fromkeys(n for n, _ in of)}
 
 
-def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
-    """The claims of the thesis that reference runs have tested, or our goals with what was measured.
-
-    Without `holding`, those that hold are left out, and those of a figure that are alike are one row: `_alike_as_one`.
-    """
+def claims(*, of_thesis: bool) -> list[list]:
+    """The claims of the thesis that reference runs have tested, or our goals with what was measured."""
     head = ["results", "goal", "met", "measured"]
     keys = ("text", "holds", "measured")
     if of_thesis:
@@ -195,7 +251,6 @@ def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
     files = [one for one in (stored(path.stem) for path in sorted(REFERENCE.glob("*.json"))) if "claims" in one]
     files.sort(key=lambda one: (one["id"][0] > "9", [int(n) for n in re.findall(r"\d+", one["id"])]))
     found = [(one["id"], dict(claim)) for one in files for claim in one["claims"] if bool(claim["thesis"]) == of_thesis]
-    found = [(id, claim) for id, claim in found if holding or claim["holds"] is not True]
     for id, claim in found:
         verdict, claim["thesis"] = results.verdict(claim), (claim["thesis"] or "").removesuffix(f", Figure {id}")
         if not of_thesis and not claim.get("verdict"):
@@ -203,21 +258,7 @@ def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
         claim["holds"] = f"**{verdict}**" if claim["holds"] is False else verdict
         claim["ratio"] = ratio(claim["measured"])
         claim["measured"] = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
-    if not holding:
-        found = [*_alike_as_one(found)]
     return [head, *([id, *(claim[key] for key in keys)] for id, claim in found)]
-
-
-def _alike_as_one(found: list[tuple]):
-    """The claims of a table, in one row those of a figure that are in the noise."""
-    noise = "within the noise"
-    numbers = Counter(id for id, claim in found if claim["holds"] == noise)
-    for id, claim in found:
-        if claim["holds"] != noise:
-            yield id, claim
-        elif count := numbers.pop(id, 0):
-            text = claim["text"] if count == 1 else f"{count} claims: see the appendix"
-            yield id, claim | ({"text": text, "ratio": None} if count > 1 else {})
 
 
 def ratio(measured: dict) -> str | None:
@@ -270,11 +311,13 @@ def errata(kind: str) -> list[list]:
     return [list(found[0]), *(list(fault.values()) for fault in found)]
 
 
-_MADE = (engine, live, first_calls, noticed, presets, rivals, rivals_short, kinds, missed, figures, sph_start, elements)
+_MADE = (
+    *(engine, live, first_calls, compiling, noticed, presets, units, costs, each_rival, rivals, rivals_short, kinds, missed),
+    *(figures, sph_start, elements),
+)
 
 TABLES = {table.__name__.replace("_", " "): table for table in _MADE} | {
-    "claims": lambda: claims(of_thesis=True, holding=False),
-    "all claims": lambda: claims(of_thesis=True),
+    "claims": lambda: claims(of_thesis=True),
     "goals": lambda: claims(of_thesis=False),
     "errata": lambda: errata("Errata of the thesis"),
     "conventions": lambda: errata("Conventions and scope that differ here"),

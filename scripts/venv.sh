@@ -18,7 +18,7 @@ ensure_venv() {
         "${DEEP_CONTACT_PYTHON:-python3}" -m venv "$venv"
     fi
     # What pip says is worth a screen only if it fails.
-    if ! "$PYTHON" -m pip install --quiet --disable-pip-version-check \
+    if ! "$PYTHON" -m pip install --quiet --no-compile --disable-pip-version-check \
         ${DEEP_CONTACT_CONSTRAINTS:+--constraint "$DEEP_CONTACT_CONSTRAINTS"} --editable ".$1" >"$venv/install.log" 2>&1; then
         cat "$venv/install.log" >&2
         return 1

@@ -95,6 +95,17 @@ SPREAD = 2.5
 """Least ratio of two heights of a dam that breaks: the height of its circles, and the height that they would have if
 they lay across the whole width of the box."""
 
+CHECKED = {"friction": 1.0, "restitution": 0.9, "count": 30_000}
+"""Number of a scene -> largest value up to which the tolerances were checked, by the study or on the scenes outside of
+it (`run_tradeoff_verify.py`). The count is three times the largest of these scenes. Larger ratios of radii or densities
+than these scenes have make a scene stiff."""
+
+RADII_OF_FLOWS = 1.3
+"""Largest ratio of radii up to which the tolerances were checked in scenes with segments and in dams that break."""
+
+FEW = 30
+"""Scenes of fewer circles have no warning, since tests compare bounces of a few circles with their exact answers."""
+
 DENSE = 0.5
 """The circles of a dam cover at least this share of the rectangle around them."""
 
@@ -225,8 +236,8 @@ def decide(scene: State, accuracy: str | MeasuredAccuracy | None, *, sleep: bool
     """Return the `Decision` of a preset for a scene, by default of "fast". Raises ValueError on an unknown name.
 
     accuracy: name of the preset, or a measurement that decides in its place. sleep: whether to choose only among
-    solvers that support sleeping. If no setting of the study keeps the preset's tolerances, the decision has a warning,
-    but only if the preset was named.
+    solvers that support sleeping. If the preset was named, the decision has a warning where no setting of the study
+    keeps the preset's tolerances, and where the tolerances were not checked (`unchecked`).
     """
     if hasattr(accuracy, "decide"):
         return accuracy.decide(scene)
@@ -247,6 +258,10 @@ def decided(numbers: SceneNumbers, stiff: Stiffness | None, accuracy: str | None
             f"no setting of the study keeps its tolerances for {numbers.count:,} circles; the nearest is taken "
             f"(print(dc.recommend(scene, accuracy={name!r})) says more); {_way_out(best['us'])}"
         )
+    is_solved = stiff is not None and stiff.carried is not None  # to a tolerance, whatever the scene
+    if accuracy is not None and not is_solved and (beyond := unchecked(numbers)):
+        advice = f"the preset may miss its tolerances; {_way_out(best['us'])}, or name a solver"
+        sentences.append(f"{'; '.join(beyond)}; {advice}")
     warnings = tuple(f"accuracy={name!r}: {one}" for one in sentences)
     return Decision(best["solver"], best["start"], best["us"], stiff, warnings)
 
@@ -485,6 +500,28 @@ def outside(numbers: SceneNumbers, stiff: Stiffness | None) -> list[str]:
 def _range(low: float, high: float) -> str:
     """Return the values of a property as text: one number, or the smallest and the largest."""
     return f"{low:g}" if low == high else f"from {low:g} to {high:g} between pairs"
+
+
+def unchecked(numbers: SceneNumbers) -> list[str]:
+    """Return sentences on the properties of a scene for which nobody checked the tolerances, or an empty list.
+
+    Scenes of fewer than `FEW` circles and fast circles are not among them. They get the settings of 100 circles, and
+    shorter steps.
+    """
+    if numbers.count < FEW:
+        return []
+    flows = {"terrain", "hopper", "drum", "piston", "dam break"} & set(kinds_of(numbers))
+    most = CHECKED | ({"radius_ratio": RADII_OF_FLOWS} if flows else {})
+    words = {
+        "friction": "friction {:g}", "restitution": "restitution {:g}", "count": "{:,} circles",
+        "radius_ratio": "radii that differ {:.3g} times, in a scene of this kind",
+    }  # fmt: skip
+    largest = numbers._asdict() | {"friction": numbers.most_friction, "restitution": numbers.most_restitution}
+    return [
+        f"{words[name].format(value)}: the study and its check have up to {limit:,g}"
+        for name, limit in most.items()
+        if (value := largest[name]) > 1.001 * limit
+    ]
 
 
 def _too_long(numbers: SceneNumbers, dt: float) -> list[str]:

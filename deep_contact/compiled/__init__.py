@@ -48,7 +48,7 @@ _check, linalg.ensure_blas = linalg.ensure_blas, lambda: None
 try:
     from numba.np import arraymath  # noqa: F401
 
-    from deep_contact.compiled.lean import LeanDispatcher, counted_alone, uncollected
+    from deep_contact.compiled.lean import LeanDispatcher, counted_alone, lazy_machine_code, uncollected
 finally:
     linalg.ensure_blas = _check
 
@@ -96,7 +96,7 @@ class _Dispatcher(LeanDispatcher):
         return inner
 
     def compile(self, signature):
-        with global_compiler_lock, safe_results(), uncollected(), counted_alone():
+        with global_compiler_lock, safe_results(), uncollected(), counted_alone(), lazy_machine_code():
             try:
                 return super().compile(signature)
             finally:

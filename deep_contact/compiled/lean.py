@@ -1,7 +1,8 @@
-"""Reduce the work of Numba's compiler, for which a first run waits: no unused wrappers, and no garbage collection.
+"""Reduce the work of Numba's compiler, for which a first run waits.
 
 Python calls a compiled function through a wrapper, which unpacks nested tuples of arrays. The wrappers are a fifth of
-all code that is compiled. Most functions are called only by other compiled functions, and need no wrapper.
+all code that is compiled. Most functions are called only by other compiled functions, and need no wrapper. They need no
+machine code of their own either, because LLVM links their code, in its own language, into that of their callers.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from contextlib import contextmanager
 from functools import cache
 
 from numba.core import sigutils
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
+from numba.core.environment import lookup_environment
 from numba.core.registry import CPUDispatcher
 from numba.core.runtime.context import NRTContext
 
@@ -55,6 +58,67 @@ def _get_meminfos(self, builder, ty, val):
         if _is_counted(self._context.data_model_manager[member]):
             found += _get_meminfos(self, builder, member, read(val))
     return found
+
+
+class _LazyLibrary(JITCodeLibrary):
+    """Code in LLVM's language. Its machine code is made when the address of one of its functions is first asked for.
+
+    Numba asks for the address of a wrapper. Without a wrapper, a function is stored and loaded in LLVM's language.
+    """
+
+    _is_loaded = False
+
+    def _finalize_final_module(self):
+        # Numba's runtime has to be there before any function is. The cache may have the machine code of a function.
+        if self.name == "nrt" or (self._object_caching_enabled and self._compiled_object):
+            self._load()
+            return
+        self._verify_declare_only_symbols()
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def _load(self) -> None:
+        """Make the machine code, unless the cache had it, and give it to the process."""
+        self._is_loaded = True
+        self._dynamic_globals.clear()  # Numba finds them again
+        super()._finalize_final_module()
+        # Constants of Python that the code of other functions needs, which is linked into this code.
+        for variable in self._final_module.global_variables:
+            environment = lookup_environment(variable.name)
+            if environment is not None:
+                self._codegen.set_env(variable.name, environment)
+
+    def get_pointer_to_function(self, name):
+        self._ensure_finalized()
+        if not self._is_loaded and any(f.name == name and not f.is_declaration for f in self._final_module.functions):
+            self._load()
+        return super().get_pointer_to_function(name)
+
+    def serialize_using_object_code(self):
+        return super().serialize_using_object_code() if self._is_loaded else self.serialize_using_bitcode()
+
+
+@contextmanager
+def lazy_machine_code():
+    """Make Numba, in this context, emit machine code only for functions whose address is asked for.
+
+    The caller has to have Numba's compiler lock.
+    """
+    before = JITCPUCodegen._library_class, JITCPUCodegen.set_env
+    JITCPUCodegen._library_class, JITCPUCodegen.set_env = _LazyLibrary, _set_env
+    try:
+        yield
+    finally:
+        JITCPUCodegen._library_class, JITCPUCodegen.set_env = before
+
+
+_numbas_set_env = JITCPUCodegen.set_env
+
+
+def _set_env(self, name, environment):
+    """Hand constants of Python to machine code, if there is some that has a variable of this name."""
+    if self._engine.is_symbol_defined(name):
+        _numbas_set_env(self, name, environment)
 
 
 @cache

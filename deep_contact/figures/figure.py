@@ -257,7 +257,7 @@ def _report(figure: Figure, stored: dict, path: Path) -> None:
     for claim in judged:
         print(claim_line(claim, beside, measured=beside is None))
     if left := len(stored["claims"]) - len(judged):
-        print(f"claims that need more states than a quick run has: {left} (docs/thesis.md has the verdicts)")
+        print(f"claims that need more states than a quick run has: {left} (docs/appendix.md has the verdicts)")
     print(f"picture: {path.with_suffix('.png')}")
 
 

@@ -208,7 +208,8 @@ def digest_of_runs(runs: dict) -> str:
 def commands() -> dict[str, list]:
     """Return the commands that make results files anew: name of the file in data/reference -> [script, arguments].
 
-    Only these files can become old. All other files there document something that was done once.
+    Only these files are watched. All other files there, such as fuzz.json, mutants.json and soak.json, name the commit
+    at which they were made, and may be older than the code.
     """
     folder = ROOT / "scripts"
     found = {name: [folder / script, *options] for name, (script, *options) in STUDIES.items()}
@@ -232,7 +233,7 @@ def processor() -> str:
 def why_old(name: str) -> str:
     """Return the reason why a results file in data/reference is old, or "" if it is not old.
 
-    name: of the file, without suffix. A file that documents something that was done once is never old.
+    name: of the file, without suffix. A file that `commands` does not list is never called old.
     """
     return reason(made(name), commands()[name][0], is_time=name in TIMES) if name in commands() else ""
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from deep_contact.accuracy.presets import Accuracy, Decision, MeasuredAccuracy, decide
 from deep_contact.solvers import PGS
-from deep_contact.starts.changed_load import load_of
+from deep_contact.starts.load import is_near
 from deep_contact.starts.names import Start, WarmStart, warm_start_of
 from deep_contact.state.state import State
 from deep_contact.state.validation import flag
@@ -71,13 +71,13 @@ def method_of(state: State, solver=None, start="builtin", accuracy=None, *, slee
 
 
 def _keeps_solver(state: State, accuracy) -> bool:
-    """Return whether the state comes from a run under this preset, with the same load. Such a run keeps its solver.
+    """Return whether the state comes from a run under this preset, with nearly the same load. It keeps its solver then.
 
     Without this rule the preset could choose another solver later in the run, when the fastest circle is slower, or
     when a dam has broken.
     """
-    came = state.step > 0 and state.solver is not None and state.load in (None, load_of(state))
-    return came and isinstance(accuracy, str) and accuracy == state.preset
+    came = state.step > 0 and state.solver is not None and isinstance(accuracy, str) and accuracy == state.preset
+    return came and (state.load is None or is_near(state))
 
 
 def checked_solver(solver, state: State):

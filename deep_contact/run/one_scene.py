@@ -142,7 +142,7 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
         is_watched = on_step is not None or (forces and (left == 1 or until is not None))
         done += run._advance(run._rows(log, done, min(left, most), is_watched), is_watched)
         if on_step is not None:
-            on_step(*run._seen)
+            on_step(*run._now.seen)
         if until is not None:
             is_over = bool(until(read_only(run.state)))
         if record is not None and (done % every == 0 or done == steps or is_over):
@@ -151,7 +151,7 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
             on_circles.append(log.on_circles.copy())
             shifts.append(log.shifts.copy())
             work.append(float(log.work[0]))
-            solved += run._seen[:1]
+            solved += run._now.seen[:1]
     recorded = Trajectory.from_states(frames, work=work if is_driven else None) if frames else None
     of_steps = Trajectory.from_states(solved) if solved else None
     columns = [column[:done] for column in log[:5]]

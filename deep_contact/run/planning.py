@@ -37,7 +37,8 @@ class Plan:
     """Solver, start and features of a run of a scene. `print` shows all of them.
 
     us: time of a step on the processor of the presets' study, μs, an upper bound if steps are solved to a tolerance;
-    None if no preset chose the solver. choices: name of a feature of the model -> `Choice`.
+    None if no preset chose the solver. choices: name of a feature of the model -> `Choice`. warnings: sentences that
+    `simulate` warns of at the start of the run, because the preset may miss its tolerances.
     """
 
     scene: str
@@ -46,6 +47,7 @@ class Plan:
     warm_start: str
     us: float | None
     choices: dict[str, Choice]
+    warnings: tuple[str, ...] = ()
 
     def __getitem__(self, part: str) -> Choice:
         """Return the `Choice` of a feature, by its name. Raises ValueError with the names of all features."""
@@ -61,10 +63,12 @@ class Plan:
 
     def __str__(self) -> str:
         width = max(map(len, self.choices))
-        return "\n".join([self._title(), *(f"  {part:{width}s}  {used:8s}  {why}" for part, used, why in self._rows())])
+        rows = (f"  {part:{width}s}  {used:8s}  {why}" for part, used, why in self._rows())
+        return "\n".join([self._title(), *rows, *(f"  warning: {sentence}" for sentence in self.warnings)])
 
     def _repr_html_(self) -> str:
-        return html.shown(self._title(), self._rows(), header=("part", "", "why"))
+        rows = [*self._rows(), *(("warning", "", sentence) for sentence in self.warnings)]
+        return html.shown(self._title(), rows, header=("part", "", "why"))
 
 
 @suggesting
@@ -81,7 +85,10 @@ def plan(
     stiff = _stiffness(decision.stiff if decision else stiffness(scene), solver)
     choices = _of_the_scene(scene, solver) | _of_the_run(scene, solver, start, sleep) | {"solving stiff piles": stiff}
     of_scene = {"scene": scene.name, "n_bodies": scene.bodies.count}
-    return Plan(**of_scene, solver=solver, warm_start=name, us=decision and decision.us, choices=choices)
+    return Plan(
+        **of_scene, solver=solver, warm_start=name, us=decision and decision.us, choices=choices,
+        warnings=decision.warnings if decision else (),
+    )  # fmt: skip
 
 
 def _of_the_scene(scene: State, solver) -> dict[str, Choice]:

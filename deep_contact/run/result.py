@@ -12,11 +12,9 @@ import numpy as np
 
 from deep_contact.run.trajectory import Trajectory
 from deep_contact.state import html
-from deep_contact.state.arrays import SIDES
 from deep_contact.state.equality import by_value
-from deep_contact.state.fields import checked_indices
+from deep_contact.state.fields import checked_part
 from deep_contact.state.state import StateWithContacts
-from deep_contact.state.validation import brief, expect, one_of
 from deep_contact.stepping.interface import tolerance_argument
 
 
@@ -78,15 +76,11 @@ class Simulation(NamedTuple):
         without forces=True, and on an unknown part or index.
         """
         recorded, world = self.trajectory, self.state.world
-        if part in SIDES:
-            expect(index is None, f"index: expected none of the {part}, got {brief(index)}")
-            part, index = "wall", SIDES.index(part)
-        count = {"wall": 4, "segment": len(world.segments), "circle": self.state.bodies.count}
-        chosen = checked_indices("index", index, count[one_of("part", part, (*SIDES, "segment", "circle", "wall"))])
+        is_circle, chosen = checked_part(part, index, self.state.bodies.count, len(world.segments))
         seconds = np.diff(recorded.times)[:, None]
-        if part == "circle" and self.on_circles is not None:
+        if is_circle and self.on_circles is not None:
             return np.diff(self.on_circles[:, chosen].sum(axis=1), axis=0) / seconds
-        if part == "circle":
+        if is_circle:
             mass = self.state.bodies.mass[chosen]
             change = np.einsum("tik,i->tk", np.diff(recorded.velocities[:, chosen], axis=0), mass)
             if self.shifts is not None:
@@ -94,7 +88,7 @@ class Simulation(NamedTuple):
             return change / seconds - mass.sum() * np.array(world.gravity)
         if self.loads is None:
             raise ValueError("forces: expected a run of simulate(…, record=…, forces=True), got one without")
-        return np.diff(self.loads[:, (4 if part == "segment" else 0) + chosen].sum(axis=1), axis=0) / seconds
+        return np.diff(self.loads[:, chosen].sum(axis=1), axis=0) / seconds
 
     @property
     def status(self) -> np.ndarray:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -11,24 +11,33 @@ import numpy as np
 
 from deep_contact.accuracy.presets import Accuracy, MeasuredAccuracy, PresetWarning
 from deep_contact.plot import notebook
+from deep_contact.run.live_forces import LiveForces
 from deep_contact.run.method import RunOptions, method_of
+from deep_contact.run.solved_memory import SolvedMemory
 from deep_contact.starts.changed_load import (
-    has_new_load,
-    load_of,
+    fitted,
+    scaled_impulses,
     with_a_past,
-    with_new_load,
     with_shifted_flights,
     with_time_step,
 )
 from deep_contact.starts.classical import Builtin, NoStart, starting_impulses
+from deep_contact.starts.load import Anchor, anchor_of, kept_anchor, load_of, share_of_gravity
 from deep_contact.starts.names import Start, WarmStart
 from deep_contact.state.arrays import LIMITS, Bodies, Contacts
-from deep_contact.state.fields import checked_indices, checked_push, checked_velocities, warn_of_jumps
+from deep_contact.state.fields import (
+    checked_fixed,
+    checked_indices,
+    checked_part,
+    checked_push,
+    checked_velocities,
+    warn_of_jumps,
+)
 from deep_contact.state.materials import largest
 from deep_contact.state.state import State, StateWithContacts, changed, frozen, read_only
-from deep_contact.state.validation import integer, suggesting, warn
+from deep_contact.state.validation import brief, expect, flag, integer, suggesting, warn
 from deep_contact.state.world import World
-from deep_contact.stepping.convergence import convergence_record
+from deep_contact.stepping.convergence import ConvergenceRecord, convergence_record
 from deep_contact.stepping.inputs import scales_of, step_input
 from deep_contact.stepping.interface import entry_of
 from deep_contact.stepping.log import (
@@ -36,15 +45,15 @@ from deep_contact.stepping.log import (
     FINITE,
     LAST_SWEEPS,
     PASSED,
+    WATCHED,
     WORK,
     StepLog,
     make_log,
-    of_whole_step,
     some_steps,
 )
 from deep_contact.stepping.memory import Steps
 from deep_contact.stepping.pairs import is_rough, kinds
-from deep_contact.stepping.prepare import find_contacts, ready
+from deep_contact.stepping.prepare import ready
 from deep_contact.stepping.problem import StepProblem
 from deep_contact.stepping.sleeping import wake_pushed
 
@@ -59,9 +68,9 @@ SECONDS = 0.2
 class Simulator:
     """A live run: it does steps when it is called, and its scene can be changed between steps.
 
-    The arguments are those of `simulate`. If a preset chose the solver, as by default, the preset chooses again when
-    the scene changes. The bits of the result do not depend on how steps are divided into calls. After Ctrl-C or an
-    error the simulator is at the end of a complete step, and can continue. A pickle contains its state.
+    If a preset chose the solver, as by default, the preset chooses again when the scene changes. The bits of the result
+    do not depend on how steps are divided into calls. After Ctrl-C or an error the simulator is at the end of a
+    complete step, and can continue. A pickle contains its state, and the sums of its forces.
 
     | property   | meaning                                                  | shape  | unit |
     |------------|----------------------------------------------------------|--------|------|
@@ -69,15 +78,21 @@ class Simulator:
     | velocities | velocities of the centres; also a view                   | (n, 2) | m/s  |
     | time       | time of the scene                                        |        | s    |
     | state      | a `State` with copies of the arrays, made at each access |        |      |
+    | solved     | the solved state of the last step, as `on_step` gets it  |        |      |
 
-    The views are read-only. `set`, `add` and `remove` change the scene. To move circles to other positions, make a new
-    simulator from a changed state: `dc.Simulator(live.state.replace(bodies=…, contacts=None))`.
+    The views and `solved` are read-only. `set`, `add` and `remove` change the scene. To move circles to other
+    positions, make a new simulator from a changed state: `dc.Simulator(live.state.replace(bodies=…, contacts=None))`.
 
+    The other arguments are those of `simulate`. forces: whether the contact impulses are summed, for `force_on`, and
+    the last step of each call of `step` is stored, as `solved`. on_step: function that is called after each step, with
+    the arguments that `simulate` describes. It may change the scene, as its caller may between two steps. Each step
+    sets `solved` then. Without both options a step costs nothing for them.
     Raises ValueError on arguments that do not fit each other.
     """
 
     _has_warned = False  # whether there was a warning of a segment that jumps
     _has_warned_of_passing = False
+    _forces: LiveForces | None = None
 
     def __init__(
         self,
@@ -88,21 +103,66 @@ class Simulator:
         warm_start: Start = "builtin",
         sleep: bool = False,
         push=None,
+        forces: bool = False,
+        on_step: Callable[[StateWithContacts, ConvergenceRecord], object] | None = None,
     ):
         how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep, "push": push}
         is_anew = solver is None and getattr(state, "solver", None) is None
-        self._options, self._steps = RunOptions(**how, is_anew=is_anew), None
-        self._go_on(*_prepared(state, self._options))
+        watch = {"forces": flag("forces", forces), "on_step": on_step}
+        expect(on_step is None or callable(on_step), f"on_step: expected a function, or None, got {brief(on_step)}")
+        self._options, self._steps = RunOptions(**how, **watch, is_anew=is_anew), None
+        prepared = _prepared(state, self._options)
+        if forces:
+            self._forces = LiveForces(state.bodies.count, len(state.world.segments))
+        self._go_on(*prepared)
 
     def step(self, steps: int = 1) -> None:
         """Do `steps` steps. Raises FloatingPointError if the solver diverges to positions that are not finite."""
         done, steps = 0, integer("steps", steps, hint="; seconds are steps of Δt, which set(dt=…) changes")
+        if self._is_watched:
+            self._step_watched(steps)
+            return
         while done < steps:
-            count = min(steps - done, self._affordable())
+            count = 1 if steps - done == 1 else min(steps - done, self._affordable())
             if count == 1:
                 done += self._advance(self._one_step())
             else:
                 done += self._advance(self._rows(make_log(count), 0, count))
+
+    def _step_watched(self, steps: int) -> None:
+        """Do `step`, with sums of forces and calls of `on_step`. Without `on_step`, only the last step is watched."""
+        done, on_step = 0, self._options.on_step
+        while done < steps:
+            left = steps - done
+            is_watched = on_step is not None or left == 1
+            count = 1 if is_watched else min(left - 1, self._affordable())
+            log = self._one_step() if count == 1 else self._rows(self._new_log(count), 0, count)
+            log.progress[WATCHED] = is_watched and not self._is_one_solve
+            done += self._advance(log, is_watched)
+            if on_step is not None:
+                on_step(*self._now.seen)
+
+    def force_on(self, part: str, index: int | Sequence[int] | np.ndarray | None = None) -> np.ndarray:
+        """Return the mean contact force on a part of the scene since it was last asked for, (2,), N.
+
+        It is the mean over all steps and substeps since then, rebounds included: the sum of the contact impulses over
+        the time. Each body has an interval of its own, which begins with the simulator, or when the body is added.
+        Without a step since then, the result is that of the last call, and 0 before the first step.
+
+        part, index: as in `Simulation.force_on`. Raises ValueError without forces=True, and on an unknown part or
+        index.
+        """
+        if self._forces is None:
+            raise ValueError("forces: expected a Simulator(…, forces=True), got one without")
+        chosen = checked_part(part, index, self._scene.bodies.count, len(self._scene.world.segments))
+        self._count_time()
+        return self._forces.read(*chosen)
+
+    def _count_time(self) -> None:
+        """Add the time of the steps since the last call to the sums of forces, if there are any."""
+        if self._forces is not None:
+            self._forces.add_time((self._now.step - self._counted) * self._scene.dt)
+            self._counted = self._now.step
 
     def show(self, steps: int = 0, *, every: int = 10) -> None:
         """Draw the state in a notebook, then do `steps` steps. Every `every` steps a new picture replaces the last one.
@@ -136,62 +196,140 @@ class Simulator:
     def state(self) -> StateWithContacts:
         return self._state(np.ndarray.copy)
 
+    @property
+    def solved(self) -> StateWithContacts:
+        """The solved state of the last step. Raises ValueError without forces=True or on_step=…, and before a step."""
+        expect(self._is_watched, "solved: expected a Simulator(…, forces=True), or with on_step=…, got one without")
+        expect(self._now.seen, "solved: expected a call of step that was completed before, got none")
+        return self._now.seen[0]
+
     @suggesting
     def set(
         self, *, gravity=None, friction=None, restitution=None, dt=None, segments=None, segment_velocities=None,
-        push=None, rolling_friction=None,
+        fixed_velocities=None, fixed_spins=None, push=None, rolling_friction=None,
     ) -> None:  # fmt: skip
-        """Change the world, the time step or the push for the following steps. All circles wake.
+        """Change the world, the time step, the motion of fixed circles or the push for the following steps.
+
+        All circles wake.
 
         Arguments of None change nothing. Contacts keep their impulses. A contact with a segment stays with the segment
         of the same index. A segment with a new position jumps there without pushing circles, and the first jump causes
         a warning. `segment_velocities` move segments without jumps.
 
-        dt: time step, s. push: as in `simulate`; forces of 0 end a push. Raises ValueError, and changes nothing, on
-        values that `World` refuses.
+        fixed_velocities, fixed_spins: velocities, (k, 2), m/s, and spins, (k,), rad/s, of the k fixed circles in the
+        order of their indices, or one for all of them. dt: time step, s. push: as in `simulate`; forces of 0 end a
+        push. Raises ValueError, and changes nothing, on values that `World` or `make_bodies` refuses.
         """
-        fields = {"gravity": gravity, "friction": friction, "restitution": restitution, "segments": segments}
-        fields |= {"rolling_friction": rolling_friction}
-        if dt is None and push is None and not any(value is not None for value in fields.values()):
-            if segment_velocities is None or self._set_velocities(segment_velocities):
+        fixed = None
+        if fixed_velocities is not None or fixed_spins is not None:
+            fixed = checked_fixed(self._scene.bodies, fixed_velocities, fixed_spins)
+        fields = {"gravity": gravity, "friction": friction, "restitution": restitution}
+        fields = {name: value for name, value in fields.items() if value is not None}
+        if dt is None and segments is None and rolling_friction is None:
+            if segment_velocities is None and fixed is None:
+                is_set = not callable(push) and self._set_load(fields, push)
+            else:
+                is_set = not fields and push is None and self._set_velocities(segment_velocities, fixed)
+            if is_set:
                 return
-        fields |= {"segment_velocities": segment_velocities}
-        fields, state = {name: value for name, value in fields.items() if value is not None}, self.state
+        others, state = {"segments": segments, "segment_velocities": segment_velocities}, self.state
+        others |= {"rolling_friction": rolling_friction}
+        others = {name: value for name, value in others.items() if value is not None}
+        fields |= others
         if segments is not None:  # old velocities and surface speeds may not fit the number of segments
             for name in ("segment_velocities", "surface_speeds", "segment_materials"):
                 kept = getattr(state.world, name)
                 fields.setdefault(name, kept if len(kept) == len(segments) else ())
-        if fields:
+        if fixed is not None:
+            is_fixed = state.bodies.is_fixed
+            state.bodies.velocity[is_fixed], state.bodies.spin[is_fixed] = fixed
+        if fields or fixed is not None:
             world, contacts = replace(state.world, **fields), state.contacts
             if segments is not None:
                 if not self._has_warned:
                     self._has_warned = warn_of_jumps(state.world, world)
                 stays = contacts.body_b < state.bodies.count + 4 + len(world.segments)
                 contacts = Contacts(*(values[stays] for values in contacts))
-            # A preset chooses the solver again, since a faster segment may need more substeps.
-            state = replace(state, world=world, contacts=contacts, preset=None)
+            # A preset chooses the solver again, since a faster segment or circle may need more substeps.
+            preset = None if others or fixed is not None else state.preset
+            state = replace(state, world=world, contacts=contacts, preset=preset)
         self._change(state if dt is None else with_time_step(state, dt), push)
 
-    def _set_velocities(self, segment_velocities) -> bool:
-        """Set the velocities of the segments in place, if possible. This is faster than `_change`.
+    def _set_load(self, changes: dict, push) -> bool:
+        """Set gravity, friction, restitution and the push in place, if possible. This is faster than `_change`.
 
-        It is possible if the same segments move as before. If a preset chose the solver, there is a second condition:
-        no segment may be faster than at the time of this choice. Returns whether the velocities were set.
+        It is possible if the change is so small that the carried impulses stay (`load.kept_anchor`), and if the step
+        needs no other code. A preset then keeps its solver. changes: the new fields of the world. push: array of
+        forces, or a tuple with torques; None leaves the push as it is. Returns whether all was set.
         """
-        actuation, world = self._inputs.actuation, self._scene.world
-        most = LIMITS["world.segment_velocities"][1]
-        if self._options.accuracy is not None or self._options.is_anew:
-            most = self._fastest_wall
-        velocities = checked_velocities(segment_velocities, len(world.segments))
-        wall = np.array(velocities).reshape(-1, 4)
-        if actuation is None or wall.shape != actuation.wall.shape or np.abs(wall).max(initial=0.0) > most:
-            return False
-        if (wall.any(axis=1) != actuation.wall.any(axis=1)).any():
+        if not changes and push is None:
+            return True
+        scene, inputs, contacts = self._scene, self._inputs, self._now.contacts
+        constants = World(**changes)
+        strongest, roughest = LIMITS["world.gravity"][1], LIMITS["world.friction"][1]
+        is_uniform = scene.world.is_uniform and constants.is_uniform
+        if not (is_uniform or changes.keys() <= {"gravity"}):
+            return False  # tables need other code, or another table in the input of steps
+        if max(map(abs, constants.gravity)) > strongest or largest(constants.friction) > roughest:
+            return False  # `_change` raises
+        world = changed(scene.world, **{name: getattr(constants, name) for name in changes})
+        state = changed(scene, world=world, contacts=contacts)
+        if push is not None:
+            state = changed(state, push=checked_push(push, scene.bodies.count))
+            if inputs.actuation is None or callable(self._options.push):
+                return False
+        solver, options = scene.solver, self._options
+        if options.solver is not None and options.accuracy is None:
+            solver = options.solver.for_state(state)
+        anchor = kept_anchor(self._anchor, scene.world, state)
+        if anchor is None or not self._steps.takes(solver):
             return False
         self._steps.wake()
-        self._scene = changed(self._scene, world=changed(world, segment_velocities=velocities))
+        if (share := share_of_gravity(scene.world, self._anchor, state)) != 1.0:
+            contacts = scaled_impulses(contacts, share, is_solved=self._now.solved)
+        self._now = self._origin = self._now._replace(contacts=contacts)
+        self._scene, self._anchor = changed(scene, world=world, push=state.push, solver=solver), anchor
+        self._kind = solver, *self._kind[1:]
+        if "gravity" in changes:
+            self._scales = scales_of(state, solver)
+        if push is not None:
+            self._options, self._push = options._replace(push=state.push), state.push
+            force, torque = state.push
+            inputs = inputs._replace(actuation=inputs.actuation._replace(force=force, torque=torque))
+        constants = {"friction": world.friction, "restitution": world.restitution} if is_uniform else {}
+        constants = {name: value for name, value in constants.items() if getattr(inputs, name) is not None}
+        self._inputs = inputs._replace(gravity=world.gravity, scales=self._scales, **constants)
+        return True
+
+    def _set_velocities(self, segment_velocities, fixed: tuple[np.ndarray, np.ndarray] | None) -> bool:
+        """Set the velocities of the segments and of the fixed circles in place. This is faster than `_change`.
+
+        It is possible if the same segments move as before. If a preset chose the solver, there is a second condition:
+        no segment and no fixed circle may be faster than at the time of this choice. segment_velocities: argument of
+        `set`. fixed: velocities and spins of the fixed circles; None changes nothing. Returns whether the velocities
+        were set. If not, nothing has changed.
+        """
+        actuation, world, bodies = self._inputs.actuation, self._scene.world, self._scene.bodies
+        most = LIMITS["world.segment_velocities"][1], LIMITS["bodies.velocity"][1]
+        if self._options.accuracy is not None or self._options.is_anew:
+            most = self._fastest_wall, self._fastest_fixed
+        if segment_velocities is not None:
+            velocities = checked_velocities(segment_velocities, len(world.segments))
+            wall = np.array(velocities).reshape(-1, 4)
+            if actuation is None or wall.shape != actuation.wall.shape or np.abs(wall).max(initial=0.0) > most[0]:
+                return False
+            if (wall.any(axis=1) != actuation.wall.any(axis=1)).any():
+                return False
+        if fixed is not None and (_fastest(fixed[0]) > most[1] or np.abs(fixed[1]).max() > LIMITS["bodies.spin"][1]):
+            return False
+        self._steps.wake()
         self._origin = self._now
-        actuation.wall[:] = wall
+        if segment_velocities is not None:
+            self._scene = changed(self._scene, world=changed(world, segment_velocities=velocities))
+            actuation.wall[:] = wall
+        if fixed is not None:
+            is_fixed = bodies.is_fixed
+            bodies.velocity[is_fixed], bodies.spin[is_fixed] = fixed
         return True
 
     def add(self, bodies: Bodies) -> np.ndarray:
@@ -211,32 +349,43 @@ class Simulator:
         """
         n = self._scene.bodies.count
         gone, index = checked_indices("remove", which, n), np.full(n, -1)
-        index[np.delete(np.arange(n), gone)] = np.arange(n - len(gone))
-        self._change(self.state.with_bodies(remove=gone))
+        stays = np.delete(np.arange(n), gone)
+        index[stays] = np.arange(len(stays))
+        self._change(self.state.with_bodies(remove=gone), stays=stays)
         return index
 
     def __reduce__(self):
-        return _restored, (self.state, self._start, self._options)
+        self._count_time()
+        return _restored, (self.state, self._start, self._options, self._forces, self._now.seen)
 
     def __repr__(self) -> str:
         return f"Simulator({self.state!r})"
 
-    def _change(self, state: State, push=None) -> None:
+    def _change(self, state: State, push=None, stays: np.ndarray | None = None) -> None:
         """Continue from another state.
 
         push: the new push. If it is None, a push that is a function stays, and any other push becomes that of `state`.
+        stays: old indices of the circles that are left; None if all are.
         """
         if push is None:
             push = self._options.push if callable(self._options.push) else state.push
         options = self._options._replace(push=push)
         prepared = _prepared(state, options)
         self._options = options
-        self._go_on(*prepared)
+        if self._forces is not None:
+            self._count_time()
+            self._forces = self._forces.of_scene(state.bodies.count, len(state.world.segments), stays)
+        self._go_on(*prepared, self._now.seen)
 
-    def _go_on(self, state: StateWithContacts, start: WarmStart) -> None:
-        """Continue from a validated state that has a solver and starting impulses (`_prepared`)."""
+    def _go_on(self, state: StateWithContacts, start: WarmStart, anchor: Anchor, seen: tuple = ()) -> None:
+        """Continue from a validated state that has a solver and starting impulses, with their anchor (`_prepared`).
+
+        seen: `_Now.seen` of the last step.
+        """
         solver, n, sleep = state.solver, state.bodies.count, self._options.sleep
-        bodies, contacts = Bodies(*map(np.copy, state.bodies)), Contacts(*map(np.copy, state.contacts))
+        block, moved = in_one_block(state.bodies[:4])
+        bodies = Bodies(*moved, *map(np.copy, state.bodies[4:]))
+        contacts = Contacts(*map(np.copy, state.contacts))
         if isinstance(start, NoStart):
             contacts.normal_start[:] = contacts.tangent_start[:] = 0.0
         scene = changed(state, bodies=bodies, contacts=contacts, load=None)
@@ -250,29 +399,39 @@ class Simulator:
             self._steps.memory(inputs, contacts.count)
         self._steps.wake()
         self._kind, self._start, self._scene, self._scales, self._inputs = kind, start, scene, scales, inputs
+        self._anchor = anchor
         # Without friction, tangent rows are left out once no contact starts from a tangent impulse.
         self._may_lose_tangents = largest(scene.world.friction) == 0.0 and entry_of(solver).advance is None
         self._may_lose_tangents &= not is_rough(inputs.friction)
         self._is_one_solve = changed(scene, solved=True).holds_solution
         self._asks_between = callable(self._options.push) or not isinstance(start, (Builtin, NoStart))
-        self._origin = self._now = _Now(contacts, state.step, state.time, state.solved)
+        self._origin = self._now = _Now(contacts, state.step, state.time, state.solved, seen)
         if callable(self._options.push):
             self._scene = scene = changed(scene, push=(np.zeros((n, 2)), np.zeros(n)))
             self._inputs = step_input(scene, solver, scales)
         self._push = scene.push
         actuation = self._inputs.actuation
         self._fastest_wall = 0.0 if actuation is None else np.abs(actuation.wall).max(initial=0.0)
+        self._fastest_fixed = _fastest(bodies.velocity[bodies.is_fixed])
         self._moved = tuple(bodies[:4])  # arrays that a step changes
-        self._never_change = tuple(map(frozen, bodies[4:]))
+        self._never_change, self._solved_memory = tuple(map(frozen, bodies[4:])), SolvedMemory()
         if scene.world.segment_velocities:
             self._moved += (self._inputs.segments.line,)
         if self._steps.sleep is not None:
             self._moved += self._steps.sleep.remembered
-        self._kept, self._log, self._work = tuple(map(np.copy, self._moved)), make_log(1), MOST_WORK // 8
+        self._is_watched, self._counted = self._forces is not None or self._options.on_step is not None, state.step
+        if self._forces is not None:
+            self._moved += (self._forces.block,)
+        self._kept, self._log, self._work = tuple(map(np.copy, self._moved)), self._new_log(1), MOST_WORK // 8
+        kept_block, kept = in_one_block(self._kept[:4])
+        self._kept = kept + self._kept[4:]
+        self._saved = (kept_block, block), *zip(self._kept[4:], self._moved[4:])
+        # Steps start the next step from the impulses of the last one. So the impulses before a step need no copy,
+        # unless they come from elsewhere (`_origin`) or belong to circles that sleep.
+        self._starts_are_impulses = not isinstance(start, NoStart) and self._steps.sleep is None
         self._views = bodies.position.view(), bodies.velocity.view()
         for view in self._views:
             view.flags.writeable = False
-        self._seen: tuple = ()  # arguments of `on_step` for the last watched step
 
     def _affordable(self) -> int:
         """Return the number of steps that one call of compiled code may do.
@@ -290,6 +449,11 @@ class Simulator:
         """
         return some_steps(log, first, count, self._work, is_watched and not self._is_one_solve)
 
+    def _new_log(self, steps: int) -> StepLog:
+        """Return a log for `steps` steps, which adds impulses to the sums of forces, if there are any."""
+        log, forces = make_log(steps), self._forces
+        return log if forces is None else log._replace(loads=forces.loads, on_circles=forces.on_circles)
+
     def _one_step(self) -> StepLog:
         """Return a log for one step. The next call of this function returns the same arrays."""
         log = self._log
@@ -299,17 +463,33 @@ class Simulator:
 
     def _state(self, taken) -> StateWithContacts:
         """Return the present state. taken: function that copies or views each array of the bodies for the caller."""
-        contacts, step, time, solved = self._now
+        contacts, step, time, solved, _ = self._now
         bodies, contacts = Bodies(*map(taken, self._scene.bodies)), Contacts(*map(np.ndarray.copy, contacts))
         push = None if callable(self._options.push) else self._scene.push
         fields = {"world": self._world(), "bodies": bodies, "contacts": contacts, "push": push, "solved": solved}
         state = changed(self._scene, **fields, step=step, time=time)
-        return changed(state, load=load_of(state))
+        return changed(state, load=load_of(state, self._anchor))
 
     def _world(self) -> World:
         """Return the world with its segments at their present positions."""
         world = self._scene.world
         return replace(world, segments=self._inputs.segments.line[:, :4]) if world.segment_velocities else world
+
+    def _world_in_step(self) -> World:
+        """Return `_world` without validation, which would take longer than a step of a hundred circles.
+
+        Segments that no world may have, of length 0, are left to the validation.
+        """
+        world = self._scene.world
+        if not world.segment_velocities:
+            return world
+        segments = tuple(map(tuple, self._inputs.segments.line[:, :4].tolist()))
+        if any((x_1 - x_0) ** 2 + (y_1 - y_0) ** 2 == 0.0 for x_0, y_0, x_1, y_1 in segments):
+            return self._world()
+        moved = changed(world, segments=segments)
+        for name in ("_digest", "is_within_limits"):  # what a world remembers of its segments
+            vars(moved).pop(name, None)
+        return moved
 
     def _advance(self, log: StepLog, is_watched: bool = False) -> int:
         """Do at most as many steps as the log has rows. Returns the number of steps.
@@ -317,14 +497,16 @@ class Simulator:
         An error undoes all steps of the call.
         """
         before = self._now
-        for kept, array in zip(self._kept, self._moved):
+        for kept, array in self._saved:
             kept[...] = array
-        impulses = before.contacts.normal_impulse.copy(), before.contacts.tangent_impulse.copy()
+        impulses = before.contacts[7:]
+        if before is self._origin or not self._starts_are_impulses:
+            impulses = before.contacts.normal_impulse.copy(), before.contacts.tangent_impulse.copy()
         try:
             return self._advance_from(before, log, is_watched)
         except BaseException:
             if self._now is before:
-                for kept, array in zip(self._kept, self._moved):
+                for kept, array in self._saved:
                     np.copyto(array, kept)
                 names = "normal_impulse", "tangent_impulse"
                 contacts = before.contacts._replace(**dict(zip(names, impulses)))
@@ -340,10 +522,11 @@ class Simulator:
         if self._may_lose_tangents:
             friction = step_input(replace(scene, contacts=contacts), scene.solver, self._scales).friction
             inputs = inputs if friction == inputs.friction else inputs._replace(friction=friction)
-        shifts = log.shifts
+        shifts, shown = log.shifts, ()
         if is_watched:
-            bodies = Bodies(*map(frozen, scene.bodies[:4]), *self._never_change)
-            world, push = self._world(), self._push
+            world, push = self._world_in_step(), self._push
+            if not self._is_one_solve:
+                log = log._replace(pair_impulses=self._solved_memory.rows(contacts))
             if largest(scene.world.restitution) > 0.0:
                 log = log._replace(shifts=np.zeros((scene.bodies.count, 2)))
         begun = time.perf_counter()
@@ -351,14 +534,15 @@ class Simulator:
         if len(log.contacts) > 1:  # the number of steps in a call changes no bit of the result
             seconds = time.perf_counter() - begun
             self._work = min(MOST_WORK, 2 * self._work, 1 + int(self._work * SECONDS / seconds))
-        done = int(log.progress[DONE]) // inputs.substeps
+        progress = log.progress.tolist()  # to read an element of a list takes a third of the time
+        done = progress[DONE] // inputs.substeps
         step, dt, origin = before.step + done, scene.dt, self._origin
-        if not log.progress[FINITE]:
+        if not progress[FINITE]:
             _raise_diverged(scene.bodies, step)
-        if log.progress[PASSED] and not self._has_warned_of_passing:
+        if progress[PASSED] and not self._has_warned_of_passing:
             self._has_warned_of_passing = True
             warn(
-                f"up to step {step}: a moving segment passes over circle {log.progress[PASSED] - 1}, which what rests "
+                f"up to step {step}: a moving segment passes over circle {progress[PASSED] - 1}, which what rests "
                 "holds in its way; more warnings of this kind are left out"
             )
         # Time is computed from the number of steps. A sum of Δt would depend on the division of a run into calls.
@@ -367,14 +551,16 @@ class Simulator:
         if is_watched:
             theta = self._steps.memory(inputs).theta[: log.progress[LAST_SWEEPS]]
             is_one_solve = log.substeps[0] == 1 and largest(scene.world.restitution) == 0.0
-            solved = Contacts(*map(frozen, contacts if is_one_solve else of_whole_step(contacts, pair_impulses)))
+            rows = pair_impulses[:0] if is_one_solve else pair_impulses
+            moved, solved = self._solved_memory.copy(self._kept[:4], contacts, rows)
+            bodies = Bodies(*moved, *self._never_change)
             fields = {"world": world, "bodies": bodies, "contacts": solved, "push": push, "solved": True}
             seen = changed(scene, **fields, step=before.step, time=before.time)
             of_step = frozen(log.shifts) if len(log.shifts) else None
-            self._seen = seen, convergence_record(theta, scene.solver, int(log.contacts[0]), of_step)
+            shown = seen, convergence_record(theta, scene.solver, int(log.contacts[0]), of_step)
             if len(shifts) and shifts is not log.shifts:
                 shifts += log.shifts
-        self._now = _Now(following, step, now, False)
+        self._now = _Now(following, step, now, False, shown)
         return done
 
     def _start_from_python(self, contacts: Contacts) -> tuple[Contacts, StepProblem | None]:
@@ -396,24 +582,42 @@ class Simulator:
         return contacts, problem
 
 
-class _Now(NamedTuple):
-    """Contacts, number of steps, time (s) and `State.solved` of a `Simulator` at one time.
+def in_one_block(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """Return (block, copies): copies of arrays of float64, which lie one after the other in a flat array, the block.
 
-    A step replaces all four in one assignment. An interrupt therefore finds all from before the step or all from after.
+    To copy the block takes a fraction of the time of copying each small array.
+    """
+    block = np.concatenate([array.ravel() for array in arrays])
+    ends = np.cumsum([array.size for array in arrays])
+    parts = (block[end - array.size : end] for end, array in zip(ends, arrays))
+    return block, tuple(part.reshape(array.shape) for part, array in zip(parts, arrays))
+
+
+class _Now(NamedTuple):
+    """Contacts, number of steps, time (s) and `State.solved` of a `Simulator` at one time, and what its last step was.
+
+    A step replaces all fields in one assignment. An interrupt therefore finds all from before the step or all from
+    after.
     """
 
     contacts: Contacts
     step: int
     time: float
     solved: bool
+    seen: tuple = ()  # arguments of `on_step` for the last step; empty if it was not watched
 
 
-def _restored(state: StateWithContacts, start: WarmStart, options: RunOptions) -> Simulator:
-    """Return a `Simulator` that continues from the state of a pickled simulator."""
+def _restored(state, start: WarmStart, options: RunOptions, forces: LiveForces | None, seen: tuple) -> Simulator:
+    """Return a `Simulator` that continues from the state and the sums of forces of a pickled simulator."""
     simulator = Simulator.__new__(Simulator)
-    simulator._options, simulator._steps = options, None
-    simulator._go_on(state, start)
+    simulator._options, simulator._steps, simulator._forces = options, None, forces
+    simulator._go_on(state, start, state.load.anchor, seen)
     return simulator
+
+
+def _fastest(velocity: np.ndarray) -> float:
+    """Return the largest speed of velocities (k, 2), m/s; 0 if there are none."""
+    return float(np.hypot(*velocity.T).max(initial=0.0))
 
 
 def _raise_diverged(bodies: Bodies, step: int) -> None:
@@ -424,10 +628,10 @@ def _raise_diverged(bodies: Bodies, step: int) -> None:
     )
 
 
-def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, WarmStart]:
-    """Return (state, start) for the beginning of a run.
+def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, WarmStart, Anchor]:
+    """Return (state, start, anchor) for the beginning of a run.
 
-    The state is validated, and has the solver of the run and its starting impulses.
+    The state is validated, and has the solver of the run and its starting impulses, to which the anchor belongs.
     """
     first, state = state, ready(state)
     accuracy, push = options.accuracy, options.push
@@ -441,12 +645,12 @@ def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, War
         warn(sentence, PresetWarning)
     # Only at the beginning of a run, so that a run has the same result in one call and in several calls.
     if decision and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
-        state = with_a_past(state)
-    elif has_new_load(state):
-        state = find_contacts(state)
-        state = state if isinstance(start, NoStart) else with_new_load(state, solver)
+        state, anchor = with_a_past(state), anchor_of(state)
+    else:
+        carries = first.contacts is not None and not isinstance(start, NoStart)
+        state, anchor = fitted(state, solver, carries=carries)
     if state.solver is not None:
         state = with_shifted_flights(state, state.dt / state.solver.substeps - state.dt / solver.substeps)
     # A solved state is solved again from its starting impulses. A resumed run thus repeats the steps of the first run.
     preset = accuracy if isinstance(accuracy, str) else state.preset if solver == state.solver else None
-    return changed(state, solver=solver, preset=preset), start
+    return changed(state, solver=solver, preset=preset), start, anchor

@@ -20,7 +20,7 @@ from deep_contact.solvers.batches import BLOCKS, CONTACTS
 from deep_contact.state.constants import POSITION_TOLERANCE
 from deep_contact.stepping import broad_phase, stay_inside
 from deep_contact.stepping.contacts import carry_impulses, find_pairs, mass_if_fixed, write_geometry
-from deep_contact.stepping.context import begin_steps, set_segments, walls_of
+from deep_contact.stepping.context import begin_steps, follow, results_of, set_segments, walls_of
 from deep_contact.stepping.convergence import all_finite, is_over
 from deep_contact.stepping.impacts import logged_rebound
 from deep_contact.stepping.interface import Loop, SolverOptions, register, tolerance_argument
@@ -240,8 +240,8 @@ def advance_in_batches(context, contacts, workspace, log, actuation):
     """Do steps as `algorithm.advance` does, with the solver `BatchedPGS`. Bodies move in place.
 
     context: `StepContext`. contacts: `Contacts` at the start. workspace: `BatchWorkspace`, changed in place and passed
-    to the next call. log: `StepLog`, filled in place. actuation: `Actuation` of the steps, or None. Returns the
-    contacts at the end, and `StepLog.pair_impulses`.
+    to the next call. log: `StepLog`, filled in place. actuation: `Actuation` of the steps, or None. Returns
+    `context.results_of` the context.
     """
     step = context.step
     begin_steps(context, contacts, log, actuation)
@@ -256,10 +256,10 @@ def advance_in_batches(context, contacts, workspace, log, actuation):
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.substeps == 0:
             break
-    segments, following = context.substep.segments, context.contacts
-    write_geometry(step.bodies.position, step.bodies.radius, walls_of(step), segments, following, 0)
+    segments = context.substep.segments
+    write_geometry(step.bodies.position, step.bodies.radius, walls_of(step), segments, context.contacts, 0)
     log.progress[FINITE] = all_finite(step.bodies.position)
-    return following, context.pair_impulses
+    return results_of(context)
 
 
 @njit(inline="always")
@@ -316,7 +316,7 @@ def do_substep_in_batches(context, workspace, log, actuation):
             log.progress[PASSED] = passed + 1
         set_segments(context, segments)
     carry_impulses(solved, following, options.carry)
-    context.contacts = following
+    follow(context, following, buffer)
 
 
 @njit(cache=True)

@@ -1,31 +1,33 @@
 """New starting impulses for a state without impulses, or with the impulses of another load or another Δt.
 
 A pile whose gravity is switched off still has the impulses that carried its weight. A few sweeps do not remove them,
-and the rest becomes velocity. A state therefore stores a digest of the load for which its impulses were solved
-(`State.load`). If the load has changed, the impulses are solved anew, with many sweeps, and the next step starts from
-them. In a run whose load never changes, all bits of the result stay the same.
+and the rest becomes velocity. A state therefore stores the load for which its impulses were solved (`load`). After a
+small change of this load the impulses stay. After a large one the solver tests them, and where they would become
+velocity they are solved anew, with many sweeps. In a run whose load never changes, all bits of the result stay the
+same.
 """
 
 from __future__ import annotations
 
 import math
-import zlib
 
 import numpy as np
 
 from deep_contact.solvers import NesterovPGS
-from deep_contact.starts.impulses_at_rest import at_rest
+from deep_contact.starts.impulses_at_rest import at_rest, energy_of_change
+from deep_contact.starts.load import KICK, Anchor, anchor_of, kept_anchor, load_of, share_of_gravity
 from deep_contact.starts.support import supported
+from deep_contact.state.arrays import Contacts
 from deep_contact.state.checks import check_types
 from deep_contact.state.materials import largest
 from deep_contact.state.scales import mean, theta_tolerance
 from deep_contact.state.state import State, StateWithContacts, changed
 from deep_contact.state.validation import number
-from deep_contact.state.world import World
 from deep_contact.stepping.inputs import actuation_of
 from deep_contact.stepping.metrics import energy_norm
-from deep_contact.stepping.problem import StepProblem, solve, started, step_problem
-from deep_contact.stepping.rows import best_share, frictions, projected
+from deep_contact.stepping.prepare import find_contacts
+from deep_contact.stepping.problem import StepProblem, solve, step_problem
+from deep_contact.stepping.rows import apply_impulses, best_share, frictions, projected
 from deep_contact.stepping.substeps import shift_flights
 
 SWEEPS = 500, 2000
@@ -35,76 +37,132 @@ After fewer sweeps the circles of a pile would sink into each other."""
 CLOSE = 10.0
 """Tolerance of an accurate solve after a change of the load, as a multiple of the default tolerance of solvers."""
 
-KICK = 0.001
-"""Largest increase of the top speed, in √(g r), up to which the carried impulses are used in spite of a changed load.
-"""
-
 RELAXED = 2000
 """Largest number of iterations of the convex relaxation (`impulses_at_rest`), which is used if circles hardly move."""
 
 ENDS = 1e-4
 """Rms speed at which the iterations of the relaxation end, as a multiple of g Δt, the speed that gravity adds in a
-step."""
+step, for a state without impulses. After a change of the load they end at `RESTS`, since the steps that follow
+relax the impulses further."""
 
 RESTS = 0.02
 """Largest rms speed after the relaxation at which a pile counts as being at rest, as a multiple of g Δt."""
 
 
-def load_of(state: State) -> tuple[int, int]:
-    """Return (digest of the load of a state, digest of its velocities and spins).
+def fitted(state: StateWithContacts, solver, *, carries: bool = True) -> tuple[StateWithContacts, Anchor]:
+    """Return (state, anchor): the state with starting impulses that fit its load, and the anchor of these impulses.
 
-    The load consists of the world, Δt, the pushes, and the positions, masses and radii of the circles.
+    After a small change of gravity, friction, restitution or the push the carried impulses stay (`load.kept_anchor`),
+    times the factor that follows from gravity. After other changes of the load they are tested (`with_new_load`). The
+    state is returned unchanged if its load is that of its impulses, or if it is not known which load they have.
+
+    solver: as in `with_new_load`. carries: whether steps start from the carried impulses at all.
     """
-    position, velocity, _, spin, mass, radius, _ = map(np.ascontiguousarray, state.bodies)
-    load, motion = zlib.crc32(np.float64(state.dt), _of_world(state.world)), zlib.crc32(velocity, zlib.crc32(spin))
-    material = () if state.world.materials is None else (state.bodies.material,)
-    for values in (position, mass, radius, *material, *(state.push or ())):
-        load = zlib.crc32(values, load)
-    return load, motion
+    load, share = state.load, 1.0
+    if load is None:
+        return state, anchor_of(state)
+    now = load_of(state)
+    if now.digest == load.digest:
+        return state, load.anchor
+    if now.constant != load.constant:
+        state = find_contacts(state)
+    else:
+        share = share_of_gravity(load.world, load.anchor, state)
+        if (anchor := kept_anchor(load.anchor, load.world, state)) is not None:
+            contacts = scaled_impulses(state.contacts, share, is_solved=state.solved)
+            return changed(state, contacts=contacts), anchor
+    return with_new_load(state, solver, share=share) if carries else state, now.anchor
 
 
-def _of_world(world: World) -> int:
-    if (kept := vars(world).get("_digest")) is None:
-        numbers = *world.box, *world.gravity, *np.ravel(world.friction), *np.ravel(world.restitution)
-        numbers += *np.ravel(world.segments), *np.ravel(world.touches), *world.wall_materials, *world.segment_materials
-        numbers += (*np.ravel(world.rolling_friction),)
-        dragging = world.surface_speeds if largest(world.friction) > 0 else ()
-        kept = zlib.crc32(np.array([*numbers, *dragging, *(world.scales or ())], np.float64))
-        vars(world)["_digest"] = kept  # cached in the world, which never changes
-    return kept
-
-
-def has_new_load(state: State) -> bool:
-    """Return whether the impulses of a state are known to belong to another load than its present load."""
-    return state.load is not None and load_of(state)[0] != state.load[0]
-
-
-def with_new_load(state: StateWithContacts, solver) -> StateWithContacts:
+def with_new_load(state: StateWithContacts, solver, *, share: float = 1.0) -> StateWithContacts:
     """Return a state that carries the impulses of another load, with starting impulses that fit its own load.
 
-    The carried impulses stay if the solver, starting from them, leaves no more energy than from impulses of 0, and
-    raises the top speed by at most `KICK`. Otherwise the impulses are solved anew. This solve starts from the carried
-    impulses times the factor that leaves the least energy (`best_share`). If the solver leaves more energy from the new
-    impulses than from impulses of 0, the state starts from 0.
+    The carried impulses times `share` stay if the solver, starting from them, leaves no more energy than from impulses
+    of 0, and kicks no circle (`_kicks`). Otherwise the impulses are solved anew, from the better of two starts
+    (`_nearest_start`): by the convex relaxation if circles hardly move, and by NesterovPGS if they move. NesterovPGS
+    also follows the relaxation if circles do not rest, and the solver leaves more energy from the impulses of the
+    relaxation than from those of before, or throws a circle (`_throws`). If it leaves more energy from the new impulses
+    than from impulses of 0, the state starts from 0.
 
     solver: options of the next steps, with numbers in place of values that follow the scene
-    (`SolverOptions.for_state`).
+    (`SolverOptions.for_state`). share: factor on the impulses that follows from the change of gravity
+    (`load.share_of_gravity`).
     """
-    contacts = state.contacts
-    if not contacts.have_past:
+    contacts, zero = state.contacts, np.zeros((2, state.contacts.count))
+    if contacts.count == 0:
         return state
-    problem, zero = step_problem(state), (np.zeros(contacts.count), np.zeros(contacts.count))
+    if share == 0.0 and not any(state.world.gravity):  # circles at rest without a load need no impulses
+        return _starting(state, *zero)
+    problem = step_problem(state)
     carried = projected(contacts.normal_start, contacts.tangent_start, frictions(problem.rows, problem.friction))
-    energy, (energy_carried, fastest) = (_left(state, *start, solver, problem) for start in (zero, carried))
-    most = np.hypot(*state.bodies.velocity.T).max()
-    most += KICK * math.sqrt(math.hypot(*state.world.gravity) * mean(state.bodies.radius))
-    if energy_carried <= energy[0] and fastest <= most:
-        return state
-    contacts = contacts._replace(normal_start=carried[0], tangent_start=carried[1])
-    share = best_share(started(problem, contacts, problem.friction).rows, problem.solver_bodies)
-    tolerance = CLOSE * theta_tolerance(state.bodies.mass, state.bodies.radius, state.world.gravity, state.dt)
-    impulses = _good(state, share * carried[0], share * carried[1], problem, tolerance)
-    return _starting(state, *(impulses if _left(state, *impulses, solver, problem)[0] <= energy[0] else zero))
+    scaled = share * carried[0], share * carried[1]
+    (energy, free), (energy_scaled, velocity) = (_left(state, *start, solver, problem) for start in (zero, scaled))
+    if energy_scaled <= energy and not _kicks(state, velocity, free):
+        return _starting(state, *scaled)
+    *impulses, rests = _relaxed(state, *_nearest_start(state, problem, carried), problem, is_changed=True)
+    energy_new, velocity = _left(state, *impulses, solver, problem)
+    if not rests and (not energy_new <= min(energy, energy_scaled) or _throws(state, velocity)):
+        tolerance = CLOSE * theta_tolerance(state.bodies.mass, state.bodies.radius, state.world.gravity, state.dt)
+        impulses = _solved(state, *impulses, problem, tolerance)
+        energy_new, _ = _left(state, *impulses, solver, problem)
+    return _starting(state, *(impulses if energy_new <= energy else zero))
+
+
+def _nearest_start(state: StateWithContacts, problem: StepProblem, carried) -> tuple[np.ndarray, np.ndarray]:
+    """Return the start of a search for impulses, (λ_n, λ_t), (m,) each, N·s: the one that leaves less energy of two.
+
+    These are the carried impulses times the factor that leaves the least energy (`best_share`), and impulses that carry
+    loads down (`support.supported`). carried: (λ_n, λ_t). problem: `StepProblem` of the state.
+    """
+    energies, starts = [], [carried, supported(state, problem)]
+    for i, (normal, tangent) in enumerate(starts):
+        rows = problem.rows._replace(impulse=np.column_stack([normal, tangent]))
+        share = best_share(rows, problem.solver_bodies)
+        starts[i], v = (share * normal, share * tangent), problem.solver_bodies.copy()
+        rows.impulse[:] *= share
+        apply_impulses(rows, v, problem.friction)
+        energies.append(energy_of_change(v, np.zeros_like(v)))
+    return starts[int(np.argmin(energies))]
+
+
+def _kicks(state: StateWithContacts, velocity: np.ndarray, free: np.ndarray) -> bool:
+    """Return whether the velocities after a solve show that its starting impulses kick a circle.
+
+    A kicked circle is faster, by more than `KICK`, than the fastest circle before the solve. Circles that fall or roll
+    become faster without a kick, by at most the speed that gravity and the push give in a step. Such circles do not
+    count: those without contacts, those that were at least half as fast as this speed, and those with one contact that
+    become as fast from impulses of 0. A pile is also kicked if it sinks: if most circles with at least two contacts
+    that were slow gain more than half of this speed.
+
+    velocity, free: velocities after the solve and after a solve from impulses of 0, (n, 2), m/s.
+    """
+    before, after = (np.hypot(*values.T) for values in (state.bodies.velocity, velocity))
+    (own, kick), n = _speeds_of_load(state), state.bodies.count
+    contacts = np.bincount(np.concatenate(state.contacts[:2]), minlength=n)[:n]
+    moves_on = (before >= 0.5 * own) | ((contacts == 1) & (after <= np.hypot(*free.T) + kick))
+    is_free = (contacts == 0) | (moves_on & (after - before <= own))
+    rests = (contacts >= 2) & (before < 0.5 * own)
+    if 2 * np.count_nonzero(rests & (after - before > 0.5 * own)) > np.count_nonzero(rests):
+        return True
+    return bool(((after > before.max(initial=0.0) + kick) & ~is_free).any())
+
+
+def _throws(state: StateWithContacts, velocity: np.ndarray) -> bool:
+    """Return whether a circle has become faster than gravity and the push make it. velocity: after a solve, (n, 2)."""
+    own, kick = _speeds_of_load(state)
+    return bool((np.hypot(*velocity.T) - np.hypot(*state.bodies.velocity.T) > own + kick).any())
+
+
+def _speeds_of_load(state: State) -> tuple[np.ndarray | float, float]:
+    """Return (speed that gravity and the push give a circle in a step, m/s; `KICK` in m/s).
+
+    The first is an array, (n,), if there is a push.
+    """
+    bodies, gravity = state.bodies, math.hypot(*state.world.gravity)
+    own, kick = state.dt * gravity, KICK * math.sqrt(gravity * mean(bodies.radius))
+    if state.push is not None:
+        own = own + state.dt * np.hypot(*state.push[0].T) / bodies.mass
+    return own, kick
 
 
 def with_a_past(state: StateWithContacts) -> StateWithContacts:
@@ -127,30 +185,48 @@ def with_a_past(state: StateWithContacts) -> StateWithContacts:
 def _good(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:
     """Return impulses (λ_n, λ_t), (m,) each, N·s, at which the state rests, or else accurately solved impulses.
 
-    If the circles hardly move, the convex relaxation searches for impulses at rest. If it finds none, or if the circles
-    move faster, NesterovPGS solves the contact problem. normal, tangent: impulses to start from, (m,) each, N·s.
-    problem: `StepProblem` of the state. tolerance: θ at which the sweeps of NesterovPGS end, N·s, or None.
+    normal, tangent: impulses to start from, (m,) each, N·s. problem: `StepProblem` of the state. tolerance: as in
+    `_solved`.
     """
-    gained, speed = state.dt * math.hypot(*state.world.gravity), math.inf
-    ends, rests = ENDS * gained, RESTS * gained
-    if np.mean(state.bodies.velocity**2) < gained**2:
-        normal, tangent, speed = at_rest(problem, normal, tangent, iterations=RELAXED, speed=ends)
-    if speed > rests:
-        solver = NesterovPGS(sweeps=int(np.clip(state.bodies.count, *SWEEPS)), tolerance=tolerance)
-        solution = solve(state, solver, normal, tangent, problem)
-        normal, tangent = solution.normal_impulses, solution.tangent_impulses
-    return normal, tangent
+    *impulses, rests = _relaxed(state, normal, tangent, problem)
+    return tuple(impulses) if rests else _solved(state, *impulses, problem, tolerance)
 
 
-def _left(state: State, normal, tangent, solver, problem: StepProblem) -> tuple[float, float]:
-    """Return (energy norm, √J; top speed, m/s) of the velocities that a solve leaves.
+def _relaxed(
+    state: State, normal, tangent, problem: StepProblem, *, is_changed: bool = False
+) -> tuple[np.ndarray, np.ndarray, bool]:
+    """Return (λ_n, λ_t, rests): impulses of the convex relaxation, and whether the circles rest at them.
+
+    If the circles move too fast to rest after the step, the impulses are returned unchanged. is_changed: whether the
+    load has changed. It is then enough that most circles hardly move. If others are fast, the rms speed of all circles
+    does not show whether most rest, and no iteration is saved. Other arguments as of `_good`.
+    """
+    velocity, gained, speed = state.bodies.velocity, state.dt * math.hypot(*state.world.gravity), math.inf
+    is_slow, rests = np.mean(velocity**2) < gained**2, RESTS * gained
+    if is_slow or (is_changed and np.median(np.hypot(*velocity.T)) < gained):
+        needed, ends = rests if is_slow else math.inf, rests if is_changed else ENDS * gained
+        normal, tangent, speed = at_rest(problem, normal, tangent, iterations=RELAXED, speed=ends, needed=needed)
+    return normal, tangent, not speed > rests
+
+
+def _solved(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:
+    """Return accurately solved impulses (λ_n, λ_t), (m,) each, N·s.
+
+    tolerance: θ at which the sweeps of NesterovPGS end, N·s, or None. Other arguments as of `_good`.
+    """
+    solver = NesterovPGS(sweeps=int(np.clip(state.bodies.count, *SWEEPS)), tolerance=tolerance)
+    solution = solve(state, solver, normal, tangent, problem)
+    return solution.normal_impulses, solution.tangent_impulses
+
+
+def _left(state: State, normal, tangent, solver, problem: StepProblem) -> tuple[float, np.ndarray]:
+    """Return (energy norm, √J; velocities, (n, 2), m/s) that a solve leaves.
 
     normal, tangent: impulses from which it starts, (m,) each, N·s. solver: its options. problem: `StepProblem` of the
     state.
     """
     solution = solve(state, solver, normal, tangent, problem)
-    energy = energy_norm(state.bodies, solution.velocities, solution.angular_velocities)
-    return energy, float(np.hypot(*solution.velocities.T).max())
+    return energy_norm(state.bodies, solution.velocities, solution.angular_velocities), solution.velocities
 
 
 def _starting(state: StateWithContacts, normal, tangent) -> StateWithContacts:
@@ -172,12 +248,19 @@ def with_time_step(state: State, dt: float) -> State:
     if dt == state.dt:
         return state
     if number("dt", dt, above=0) and contacts is not None:
-        ratio, names = dt / state.dt, ["normal_start", "tangent_start"]
-        if not state.solved:  # the impulses of an unsolved state are its starting impulses
-            names += ["normal_impulse", "tangent_impulse"]
-        contacts = contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
+        contacts = scaled_impulses(contacts, dt / state.dt, is_solved=state.solved)
         state = with_shifted_flights(state, (state.dt - dt) / getattr(state.solver, "substeps", 1))
     return state.replace(dt=dt, contacts=contacts)
+
+
+def scaled_impulses(contacts: Contacts, ratio: float, *, is_solved: bool) -> Contacts:
+    """Return the contacts with their starting impulses times `ratio`.
+
+    is_solved: `State.solved` of their state. The impulses of an unsolved state are its starting impulses, and are
+    scaled with them.
+    """
+    names = ["normal_start", "tangent_start"] + ["normal_impulse", "tangent_impulse"] * (not is_solved)
+    return contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
 
 
 def with_shifted_flights(state: StateWithContacts, change: float) -> StateWithContacts:

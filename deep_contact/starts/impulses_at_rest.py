@@ -36,6 +36,9 @@ from deep_contact.stepping.rows import (
 LOOKS = 25
 """Number of iterations between two tests whether the circles rest, and number of iterations of the power method."""
 
+PAST = 4
+"""Number of tests over which the rate of the iterations is measured, which is 100 iterations."""
+
 SPARE = 1.1
 """Factor on every lower bound of the largest eigenvalue, so that the product is rarely too small."""
 
@@ -43,21 +46,25 @@ GOLDEN = 0.6180339887498949
 """Golden section (√5 − 1) / 2. Its products with square numbers have no pattern modulo 1."""
 
 
-def at_rest(problem, normal, tangent, *, iterations: int, speed: float) -> tuple[np.ndarray, np.ndarray, float]:
+def at_rest(
+    problem, normal, tangent, *, iterations: int, speed: float, needed: float = math.inf
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Return (λ_n, λ_t, rms speed): the impulses of the relaxation, (m,) each, N·s, and the speed that they leave, m/s.
 
     problem: `StepProblem` with tangent rows. normal, tangent: impulses to start from, (m,) each, N·s. iterations:
-    largest number of iterations. speed: rms speed of the circles at which the iterations end, m/s.
+    largest number of iterations. speed: rms speed of the circles at which the iterations end, m/s. needed: largest rms
+    speed at which the result is of use, m/s: the iterations also end if, at the rate of the last 100 iterations, the
+    speed would be above `needed` after all iterations.
     """
     rows, v = problem.rows, problem.solver_bodies.copy()
     rows = rows._replace(impulse=np.column_stack([normal, tangent]))
     apply_impulses(rows, v, problem.friction)
-    rms = relax_cones(rows, problem.friction, v, iterations, speed)
+    rms = relax_cones(rows, problem.friction, v, iterations, speed, needed)
     return rows.impulse[:, NORMAL].copy(), rows.impulse[:, TANGENT].copy(), rms
 
 
 @njit(cache=True, error_model="numpy", fastmath=CONTRACT)
-def relax_cones(rows, friction, v, iterations, speed):
+def relax_cones(rows, friction, v, iterations, speed, needed):
     """Do the iterations of `at_rest`, in place on impulses and velocities. Returns the rms speed of the circles, m/s.
 
     v: solver bodies, (n + 4, 4). At the start their velocities include the effect of the impulses of the rows.
@@ -65,7 +72,7 @@ def relax_cones(rows, friction, v, iterations, speed):
     impulse, old = rows.impulse, rows.impulse.copy()
     ahead, before, t = v.copy(), v.copy(), 1.0
     trial, largest = impulse.copy(), largest_eigenvalue(rows, friction, ahead)
-    ahead[:, :], rms = v, rms_speed(v)
+    ahead[:, :], rms, past = v, rms_speed(v), np.empty(PAST)
     for k in range(iterations):
         along, square = approach(rows, friction, ahead, 1.0 / largest, trial, old)
         before[:, :] = v
@@ -89,11 +96,21 @@ def relax_cones(rows, friction, v, iterations, speed):
             for c in range(3):
                 ahead[a, c] = v[a, c] + share * (v[a, c] - before[a, c])
         if k % LOOKS == LOOKS - 1:
-            rms = rms_speed(v)
-            if not rms > speed:
+            rms, look = rms_speed(v), k // LOOKS
+            if not rms > speed or (look >= PAST and _misses(rms, past[look % PAST], iterations - 1 - k, needed)):
                 break
+            past[look % PAST] = rms
     impulse[:, :] = old
     return rms
+
+
+@njit(cache=True, error_model="numpy")
+def _misses(rms, before, left, needed):
+    """Return whether the speed is above `needed` after `left` more iterations at the rate of the last `PAST` tests.
+
+    rms, before: rms speed now and `PAST` tests ago, m/s.
+    """
+    return rms > needed and rms * (rms / before) ** (left / (PAST * LOOKS)) > needed
 
 
 @njit(cache=True, error_model="numpy", fastmath=CONTRACT)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deep_contact.state.arrays import LIMITS, Bodies, Contacts
+from deep_contact.state.arrays import LIMITS, SIDES, Bodies, Contacts
 from deep_contact.state.materials import (
     MOST_MATERIALS,
     checked_materials,
@@ -26,6 +26,7 @@ from deep_contact.state.validation import (
     expect,
     floats,
     number,
+    one_of,
     real_numbers,
     refuse_where,
     several,
@@ -247,6 +248,45 @@ def checked_indices(name: str, which, count: int) -> np.ndarray:
     expected = f"different numbers, 0 to {count - 1}, or {count} flags" if count else "none, since there are none"
     expect(fits, f"{name}: expected {expected}, got {brief(which)}")
     return chosen
+
+
+def checked_part(part: str, index, circles: int, segments: int) -> tuple[bool, np.ndarray]:
+    """Return (whether the part consists of circles, indices of its bodies) of a part whose force is asked for.
+
+    Circles have the indices of the circles. The four sides are 0 to 3, in the order of `SIDES`, and segment s is 4 + s,
+    as the rows of `StepLog.loads`. part: one of `SIDES`, "wall", "segment" or "circle". index: one index, several
+    indices or flags; None if `part` is one of `SIDES`. circles: number of circles. segments: number of segments. Raises
+    ValueError on an unknown part or index.
+    """
+    if part in SIDES:
+        expect(index is None, f"index: expected none of the {part}, got {brief(index)}")
+        return False, np.array([SIDES.index(part)])
+    count = {"wall": 4, "segment": segments, "circle": circles}
+    chosen = checked_indices("index", index, count[one_of("part", part, (*SIDES, "segment", "circle", "wall"))])
+    return part == "circle", chosen + (4 if part == "segment" else 0)
+
+
+def checked_fixed(bodies: Bodies, velocities, spins) -> tuple[np.ndarray, np.ndarray]:
+    """Return velocities, (k, 2), m/s, and spins, (k,), rad/s, of the k fixed circles.
+
+    velocities: one pair for all fixed circles, a pair for each, or None for those that they have. spins: one number or
+    k numbers, or None. Raises ValueError naming what was expected and the value.
+    """
+    fixed, found = bodies.is_fixed, []
+    k = int(fixed.sum())
+    for name, value, present in (
+        ("fixed_velocities", velocities, bodies.velocity), ("fixed_spins", spins, bodies.spin)
+    ):  # fmt: skip
+        kept = present[fixed]
+        if value is not None:
+            what, unit = ("pair", "m/s") if kept.ndim == 2 else ("number", "rad/s")
+            expected = f"a finite {what}, {unit}, for all fixed circles, or one for each of the {k}"
+            numbers = real_numbers(value)
+            fits = k > 0 and numbers is not None and numbers.shape in (kept.shape[1:], kept.shape)
+            expect(fits and np.isfinite(numbers).all(), f"{name}: expected {expected}, got {brief(value)}")
+            kept = np.broadcast_to(numbers, kept.shape)
+        found.append(kept)
+    return tuple(found)
 
 
 def is_unit(normal: np.ndarray) -> np.ndarray:

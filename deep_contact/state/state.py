@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -34,8 +34,8 @@ class State:
     begins. In both cases `dc.step(state)` does the step from `normal_start` and `tangent_start`. A run that is written
     to a file and read back continues bit for bit.
 
-    `load` is a digest of the load for which the impulses were solved (`starts.changed_load`), or None if the load is
-    unknown, as in a state from a file. `preset` is the name of the preset that chose the solver
+    `load` is the load for which the impulses were solved (`starts.load.Load`), or None if the load is unknown, as in a
+    state from a file. `preset` is the name of the preset that chose the solver
     (`simulate(accuracy=…)`). A run that continues under the same preset has the same solver.
 
     `push` is the external load on the circles besides gravity in the step that begins with this state: forces (n, 2),
@@ -55,7 +55,7 @@ class State:
     dt: float = constants.TIME_STEP
     solver: object = None
     solved: bool = False
-    load: tuple[int, int] | None = field(default=None, compare=False)
+    load: Any = field(default=None, compare=False)
     push: tuple[np.ndarray, np.ndarray] | None = field(default=None, compare=False)
     preset: str | None = field(default=None, compare=False)
 
@@ -79,13 +79,16 @@ class State:
         return contact_scales(self.bodies.radius, self.world.gravity, self.dt, self.world.scales)
 
     def replace(self: S, **changes) -> S:
-        """Return a copy with some fields changed. A change of bodies, world, dt or solver sets `preset` to None.
+        """Return a copy with some fields changed. A change of bodies, dt or solver sets `preset` to None.
+
+        So does a change of the world if `load` is None. Otherwise the load shows how far the world has changed.
 
         Raises ValueError if the contacts stay, but would refer to other bodies: if the number of circles changes, or if
         the number of segments changes and a segment with contacts is no longer the same. Warns if a segment without
         velocity gets another position after step 0.
         """
-        if self.preset is not None and not changes.keys().isdisjoint(("bodies", "world", "dt", "solver")):
+        others = ("bodies", "dt", "solver", *(["world"] if self.load is None else []))
+        if self.preset is not None and not changes.keys().isdisjoint(others):
             changes.setdefault("preset", None)
         changed = replace(self, **changes)
         if self.step > 0 and isinstance(changes.get("world"), World) and "bodies" not in changes:

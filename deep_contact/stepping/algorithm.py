@@ -9,7 +9,7 @@ from __future__ import annotations
 from deep_contact.compiled import njit
 from deep_contact.stepping import sleeping
 from deep_contact.stepping.contacts import carry_impulses, detect_contacts, mass_if_fixed
-from deep_contact.stepping.context import begin_steps, set_segments, walls_of
+from deep_contact.stepping.context import begin_steps, follow, results_of, set_segments, walls_of
 from deep_contact.stepping.convergence import all_finite
 from deep_contact.stepping.impacts import logged_rebound
 from deep_contact.stepping.interface import relax
@@ -43,7 +43,7 @@ def advance(context, contacts, motion, sleep, log, actuation):
     segments, restitution, division by motion, sleep and continuous collision is compiled only if the scene needs it. If
     a circle becomes fast and the code for continuous collision is missing, the call ends before that substep. The next
     call has the code, and goes on from there.
-    Returns the contacts at the end, in memory that the next call overwrites, and `StepLog.pair_impulses`.
+    Returns `context.results_of` the context: where the contacts at the end are, and `StepLog.pair_impulses`.
     context: `StepContext`. motion: `Motion` of its step; None without optional features (`context.with_optional`).
     sleep: `SleepMemory`, or None if no circle may sleep. log: `StepLog`, filled in place. actuation: `Actuation` of the
     step, or None. Numba leaves out the code behind a None only if the None is an argument.
@@ -59,14 +59,14 @@ def advance(context, contacts, motion, sleep, log, actuation):
                 divide_by_motion(context, log, actuation)
             for _ in range(context.substep.substeps // step.substeps):
                 if not do_substep(context, sleep, log, actuation):
-                    return context.contacts, context.pair_impulses
+                    return results_of(context)
             if motion is not None:
                 fly_on(context, context.substep.dt - step.dt, log, actuation)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.substeps == 0:
             break
     log.progress[FINITE] = all_finite(step.bodies.position)
-    return context.contacts, context.pair_impulses
+    return results_of(context)
 
 
 @njit(inline="always")
@@ -116,7 +116,7 @@ def do_substep(context, sleep, log, actuation):
         set_segments(context, segments)
     carry_impulses(contacts, following, options.carry)
     sleeping.wake_and_put_to_sleep(substep, following, sleep, actuation)
-    context.contacts = following
+    follow(context, following, buffer)
     # The log.
     log_substep(log, context.row, active.body_a.shape[0], sweeps, theta, relaxations)
     if is_asked(log):

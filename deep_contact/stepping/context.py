@@ -118,17 +118,18 @@ class StepContext(Structure):
     | pair_impulses | array described in `StepLog.pair_impulses`                                         | yes     |
     | row           | index of the step in the arrays of the `StepLog`                                   | yes     |
     | buffer        | index of the array in `StepMemory.contacts` in which the contacts lie, 0 or 1      | yes     |
+    | is_inside     | whether the contacts lie there, and not in a larger array or in that of the caller  | yes     |
     """
 
 
-_FIELDS = "step", "options", "memory", "substep", "contacts", "pair_impulses", "row", "buffer"
+_FIELDS = "step", "options", "memory", "substep", "contacts", "pair_impulses", "row", "buffer", "is_inside"
 define(StepContext, _StepContextType, _FIELDS)
 
 
 @njit(cache=True)
 def make_context(step, options, memory, contacts, log):
     """Return the `StepContext` of steps that start from these `Contacts`. log: `StepLog`."""
-    return StepContext(step, options, memory, step, contacts, log.pair_impulses, 0, 0)
+    return StepContext(step, options, memory, step, contacts, log.pair_impulses, 0, 0, False)
 
 
 @njit(inline="always")
@@ -138,9 +139,33 @@ def begin_steps(context, contacts, log, actuation):
     log: `StepLog`. actuation: `Actuation` of the steps, or None.
     """
     context.contacts, context.pair_impulses, context.buffer = contacts, log.pair_impulses, 0
+    context.is_inside = False
     if actuation is not None:
         segments = moved_segments(context.step.segments, actuation, 0.0)
         context.substep = substep_of(context.step, segments)
+
+
+@njit(inline="always")
+def follow(context, following, buffer):
+    """Replace the contacts of a context, in place. buffer: `Contacts` that may contain the arrays of `following`."""
+    context.contacts = following
+    context.is_inside = following.body_a.ctypes.data == buffer.body_a.ctypes.data
+
+
+@njit(inline="always")
+def results_of(context):
+    """Return the results of steps: (number of contacts, or −1 if `contacts_of_context` returns them; pair_impulses).
+
+    To hand over the nine arrays of the contacts as objects of Python takes as long as a step of ten circles.
+    """
+    m = context.contacts.body_a.shape[0]
+    return m if context.is_inside else -1, context.pair_impulses
+
+
+@njit(cache=True)
+def contacts_of_context(context):
+    """Return the `Contacts` of a context."""
+    return context.contacts
 
 
 def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:

@@ -86,6 +86,9 @@ class Round(NamedTuple):
     | sums          | for each cluster Σ p_i x_i, later L (no unit), and Σ p_i (n_i · u)         | (n, 2)     | J    |
     | impulse       | impulse on each circle along x and y, and its moment divided by the radius | (n + 1, 3) | N·s  |
     | fastest       | fastest approach at each circle in the step so far                         | (n + 1,)   | m/s  |
+    | inverse       | inverse masses; 0 for fixed circles                                        | (n + 1,)   | 1/kg |
+    | head          | first element of the list of contacts of each circle (`begin_rounds`)      | (n,)       | –    |
+    | following     | element that follows each element in such a list                           | (2 m,)     | –    |
     | pair_impulses | impulses on the second bodies in this step; (0, 2) if not needed           | (m, 2)     | N·s  |
 
     Element n of the arrays with n + 1 elements stands for all walls and segments.
@@ -100,6 +103,9 @@ class Round(NamedTuple):
     sums: np.ndarray
     impulse: np.ndarray
     fastest: np.ndarray
+    inverse: np.ndarray
+    head: np.ndarray
+    following: np.ndarray
     pair_impulses: np.ndarray
 
 
@@ -107,14 +113,14 @@ class Round(NamedTuple):
 def logged_rebound(context, motion, contacts, log, actuation):
     """Do `rebound`, and log the work that is done in it. Returns the impulses on second bodies, (m, 2), N·s.
 
-    The array is (0, 2) if the impulses are not needed. context: `StepContext`. motion: `Motion` of its step, or None if
-    no optional features are compiled; then there is no restitution either. contacts: m contacts. log: `StepLog`.
-    actuation: `Actuation` of the step, or None.
+    The array is (0, 2) if the impulses are not needed, or if e is 0, so that there are none. context: `StepContext`.
+    motion: `Motion` of its step, or None if no optional features are compiled; then there is no restitution either.
+    contacts: m contacts. log: `StepLog`. actuation: `Actuation` of the step, or None.
     """
     impulse = log.loads[:0]
     if motion is not None:
         step = context.substep
-        if is_asked(log) or actuation is not None:
+        if largest_of(step.restitution) > 0.0 and (is_asked(log) or actuation is not None):
             impulse = np.zeros((contacts.body_a.shape[0], 2))
         work = rebound(step, contacts, impulse, actuation)
         if actuation is not None:
@@ -164,20 +170,35 @@ def reflect(step, contacts, impulse, actuation):
     gravity does not press on them. Without gravity the speed is (1 − e²) times the threshold, and the factor is 1.
 
     step: `StepInput`. impulse: array to which the impulses on the second bodies of the m contacts are added, (m, 2),
-    N·s; (0, 2) if they are not needed. actuation: `Actuation` of the step, or None. The functions of the stages of a
-    round, except `rub`, are inlined, because a call would count references to every array of the step.
+    N·s; (0, 2) if they are not needed. actuation: `Actuation` of the step, or None.
     """
     m, n = contacts.body_a.shape[0], step.bodies.mass.shape[0]
-    scale = step.gravity, step.dt, step.scales.restitution_threshold
-    limits = limits_of(largest_of(step.restitution), scale)
     now = Round(
         np.arange(m), np.empty(m), np.empty(m), np.empty(n, np.int64), np.zeros(n + 1), np.empty(n + 1, np.int64),
-        np.empty((n, 2)), np.empty((n + 1, 3)), np.zeros(n + 1), impulse,
+        np.empty((n, 2)), np.empty((n + 1, 3)), np.zeros(n + 1), np.empty(n + 1), np.empty(n, np.int64),
+        np.empty(2 * m, np.int64), impulse,
     )  # fmt: skip
-    head, following = contacts_of_circles(contacts, n)
+    do_rounds(step, contacts, now, actuation)
+
+
+@njit(cache=True, error_model="numpy", _nrt=False)
+def do_rounds(step, contacts, now, actuation):
+    """Do `reflect` in the arrays of `now`, a `Round`.
+
+    This function and the stages of a round allocate no arrays. With `_nrt=False`, Numba therefore counts no references
+    to arrays, which took half of the time of the rounds. The stages, except `rub`, are inlined, because a call would
+    copy all fields of the step.
+    """
+    m, head, following = contacts.body_a.shape[0], now.head, now.following
+    scale = step.gravity, step.dt, step.scales.restitution_threshold
+    limits = limits_of(largest_of(step.restitution), scale)
     count, strikes = m, 0
     while count > 0 and strikes < max(MOST_STRIKES * m, ALWAYS_STRIKES):
         struck = approaching(step, contacts, count, now, scale, limits, actuation)
+        if struck == 0:
+            break
+        if strikes == 0:
+            begin_rounds(step.bodies, contacts, now)
         circles = join(step.bodies, contacts, struck, now)
         push(step, contacts, struck, circles, now)
         rub(step, contacts, struck, circles, now, step.friction, actuation)
@@ -194,7 +215,7 @@ def reflect(step, contacts, impulse, actuation):
             now.closing[now.circle[k]] = 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def limits_of(e, scale):
     """Return (flat, f_x, f_y, slowest), which describe the slowest approach that rebounds (`reflect`).
 
@@ -271,6 +292,7 @@ def approaching(step, contacts, count, now, scale, limits, actuation):
         step.restitution,
     )
     up_x, up_y = -0.5 * step.dt * step.gravity[0], -0.5 * step.dt * step.gravity[1]
+    flat, f_x, f_y, _ = limits  # of the largest e: no other contact rebounds at a slower approach
     struck = np.int64(0)  # the literal 0 has a type of its own, for which `rub` would be compiled a second time
     for k in range(count):
         i = near[k]
@@ -280,10 +302,10 @@ def approaching(step, contacts, count, now, scale, limits, actuation):
             b_x, b_y = velocity[b, 0], velocity[b, 1]
         elif actuation is not None:
             b_x, b_y = ground_of(step, contacts, i, actuation)
-        x = (a_x - b_x) * n_x + (a_y - b_y) * n_y
-        if x > 0.0:
-            flat, f_x, f_y, slowest = limits_at(restitution, a, b, scale, limits)
-            least = max(slowest * max(fastest[a], fastest[min(b, n)]), flat, abs(f_x * n_x + f_y * n_y))
+        x, least = (a_x - b_x) * n_x + (a_y - b_y) * n_y, max(flat, abs(f_x * n_x + f_y * n_y))
+        if x > least:  # in a pile at rest hardly ever, while half of the contacts approach at all
+            flat_i, x_i, y_i, slowest = limits_at(restitution, a, b, scale, limits)
+            least = max(slowest * max(fastest[a], fastest[min(b, n)]), flat_i, abs(x_i * n_x + y_i * n_y))
             least = max(least, ROUNDING * (abs(a_x) + abs(a_y) + abs(b_x) + abs(b_y)), 1e-100)
             if least < x < np.inf and (mass[a] < np.inf or (b < n and mass[b] < np.inf)):
                 near[struck], approach[struck] = i, x
@@ -307,28 +329,22 @@ def ground_of(step, contacts, i, actuation):
     return v_x, v_y
 
 
-@njit(inline="always")
-def inverse_mass(bodies, i):
-    """Return the inverse mass of body i, 1/kg. It is 0 for fixed circles, walls and segments."""
-    return 1.0 / bodies.mass[i] if i < bodies.mass.shape[0] else 0.0
-
-
-@njit(cache=True)
-def contacts_of_circles(contacts, n):
-    """Return (head, following): a linked list of the contacts of each circle.
+@njit(cache=True, error_model="numpy", _nrt=False)
+def begin_rounds(bodies, contacts, now):
+    """Fill the inverse masses and a linked list of the contacts of each circle, in place in `now`, a `Round`.
 
     An element of a list is the number 2 i + side. It stands for contact i, with the circle as its first body (side 0)
-    or second body (side 1). A −1 ends a list. head: first element of the list of each circle, (n,). following: the
-    element that follows each element, (2 m,).
+    or second body (side 1). A −1 ends a list.
     """
-    m = contacts.body_a.shape[0]
-    head, following = np.full(n, -1), np.empty(2 * m, np.int64)
-    for i in range(m):
+    n, head, following = bodies.mass.shape[0], now.head, now.following
+    now.inverse[n] = 0.0
+    for c in range(n):
+        now.inverse[c], head[c] = 1.0 / bodies.mass[c], -1
+    for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
         following[2 * i], head[a] = head[a], 2 * i
         if b < n:
             following[2 * i + 1], head[b] = head[b], 2 * i + 1
-    return head, following
 
 
 @njit(inline="always")
@@ -342,7 +358,7 @@ def join(bodies, contacts, struck, now):
         i, x = now.near[k], now.approach[k]
         a, b = contacts.body_a[i], min(contacts.body_b[i], n)
         for c in (a, b):
-            if inverse_mass(bodies, c) > 0.0:
+            if now.inverse[c] > 0.0:
                 if now.closing[c] == 0.0:
                     now.circle[count], now.cluster[c] = c, c
                     now.sums[c, 0] = now.sums[c, 1] = 0.0
@@ -365,8 +381,8 @@ def shared_masses(bodies, contacts, k, now):
     """
     i = now.near[k]
     a, b = contacts.body_a[i], min(contacts.body_b[i], bodies.mass.shape[0])
-    w_a = inverse_mass(bodies, a) * (now.closing[a] / now.approach[k])
-    w_b = inverse_mass(bodies, b) * (now.closing[b] / now.approach[k])
+    w_a = now.inverse[a] * (now.closing[a] / now.approach[k])
+    w_b = now.inverse[b] * (now.closing[b] / now.approach[k])
     return now.cluster[a if now.closing[a] > 0.0 else b], w_a, w_b
 
 
@@ -388,7 +404,7 @@ def push(step, contacts, struck, circles, now):
     for k in range(circles):
         c = now.circle[k]
         square = now.impulse[c, 0] * now.impulse[c, 0] + now.impulse[c, 1] * now.impulse[c, 1]
-        now.sums[now.cluster[c], 1] += inverse_mass(bodies, c) * square
+        now.sums[now.cluster[c], 1] += now.inverse[c] * square
     for k in range(circles):
         c = now.circle[k]
         if now.cluster[c] == c:
@@ -397,7 +413,7 @@ def push(step, contacts, struck, circles, now):
             sums[0] = bounce_of_all(step.restitution) * sums[0] / sums[1] if sums[1] > 0.0 else 0.0
     for k in range(circles):
         c = now.circle[k]
-        w = now.sums[now.cluster[c], 0] * inverse_mass(bodies, c)
+        w = now.sums[now.cluster[c], 0] * now.inverse[c]
         for axis in range(2):
             bodies.velocity[c, axis] += w * now.impulse[c, axis]
             now.impulse[c, axis] = 0.0
@@ -415,7 +431,7 @@ def give(now, a, b, p_x, p_y):
     now.impulse[b, 1] += p_y
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def rub(step, contacts, struck, circles, now, friction, actuation):
     """Apply the friction of the normal impulses to the circles, in place on their velocities and spins.
 
@@ -441,7 +457,7 @@ def rub(step, contacts, struck, circles, now, friction, actuation):
     if friction is not None:
         for k in range(circles):
             c = now.circle[k]
-            w = inverse_mass(bodies, c)
+            w = now.inverse[c]
             bodies.velocity[c, 0] += w * now.impulse[c, 0]
             bodies.velocity[c, 1] += w * now.impulse[c, 1]
             bodies.spin[c] += 2.0 * w * now.impulse[c, 2] / bodies.radius[c]

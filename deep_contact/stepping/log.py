@@ -5,12 +5,12 @@ A substep is one of the equal parts of a step. A relaxation is the update of the
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from deep_contact.compiled import njit
-from deep_contact.state.arrays import Contacts
 from deep_contact.stepping.segments import is_moving, wall_velocity
 
 DONE, WORK, LAST_SWEEPS, WATCHED, FINITE, PASSED = range(6)
@@ -161,7 +161,7 @@ def log_impulses(log, pair_impulses, contacts, impulse, n):
     (m, 2), N·s. n: number of circles. Returns `pair_impulses` with these impulses added if the step is watched. It is
     the same array if it has a row for each contact, and otherwise a larger one.
     """
-    m, j = impulse.shape[0], 0
+    m = impulse.shape[0]
     for i in range(m if log.loads.shape[0] > 0 else 0):
         wall = contacts.body_b[i] - n
         if wall >= 0:
@@ -175,13 +175,31 @@ def log_impulses(log, pair_impulses, contacts, impulse, n):
                 log.on_circles[b, axis] += impulse[i, axis]
     if m == 0 or log.progress[WATCHED] == 0:
         return pair_impulses
-    pair_impulses = with_pairs(pair_impulses, contacts)
-    for i in range(m):
-        while pair_impulses[j, PAIR] < pair_of(contacts, i):
-            j += 1
-        pair_impulses[j, P_X] += impulse[i, 0]
-        pair_impulses[j, P_Y] += impulse[i, 1]
+    # Contacts mostly have the pairs of the rows.
+    added = add_to_rows(pair_impulses, contacts, impulse, 0)
+    if added < m:
+        pair_impulses = with_pairs(pair_impulses, contacts)
+        add_to_rows(pair_impulses, contacts, impulse, added)
     return pair_impulses
+
+
+@njit(cache=True, _nrt=False)
+def add_to_rows(rows, contacts, impulse, first):
+    """Add the impulses of the contacts from index `first` on to `StepLog.pair_impulses`, in place, if they have rows.
+
+    impulse: (m, 2), N·s. Returns the index of the first contact whose pair has no row, or the number of contacts.
+    """
+    k, m, j = rows.shape[0], contacts.body_a.shape[0], first
+    for i in range(first, m):
+        pair = pair_of(contacts, i)
+        while j < k and rows[j, PAIR] < pair:
+            j += 1
+        if j == k or rows[j, PAIR] > pair:
+            return i
+        rows[j, P_X] += impulse[i, 0]
+        rows[j, P_Y] += impulse[i, 1]
+        j += 1
+    return m
 
 
 @njit(cache=True)
@@ -239,22 +257,64 @@ def pair_of(contacts, i):
     return contacts.body_a[i] * MOST_BODIES + contacts.body_b[i]
 
 
-def of_whole_step(contacts: Contacts, pair_impulses: np.ndarray) -> Contacts:
-    """Return all contacts that existed during a step, with their impulses summed over the step.
+@njit(cache=True, _nrt=False)
+def write_rows(contacts, rows):
+    """Write a row of `StepLog.pair_impulses` with an impulse of 0 for each of m contacts. rows: (m, 8)."""
+    for i in range(contacts.body_a.shape[0]):
+        rows[i, PAIR], rows[i, SEPARATION] = pair_of(contacts, i), contacts.separation[i]
+        rows[i, X], rows[i, Y] = contacts.position[i, 0], contacts.position[i, 1]
+        rows[i, N_X], rows[i, N_Y] = contacts.normal[i, 0], contacts.normal[i, 1]
+        rows[i, P_X] = rows[i, P_Y] = 0.0
+
+
+@njit(cache=True, error_model="numpy", _nrt=False)
+def write_step(moved, contacts, pair_impulses, pairs, numbers):
+    """Write copies of circles, and all contacts of a step with their impulses summed over it, into two flat arrays.
 
     In a divided step a pair of circles may turn around each other, until the sum of its impulses pulls along the normal
     with which the contact appeared. That normal is then replaced by a normal perpendicular to the sum. In this way λ_n
     is 0, and the impulse on the bodies is still the sum.
 
-    contacts: contacts at the start of the step. pair_impulses: `StepLog.pair_impulses`.
+    moved: positions, (n, 2), m, velocities, (n, 2), m/s, angles, (n,), rad, and spins, (n,), rad/s. contacts: m
+    contacts at the start of the step. pair_impulses: `StepLog.pair_impulses` with a row for each contact of the step;
+    without rows, the contacts are copied as they are. pairs: body_a and body_b of the k contacts that are written, (2
+    k,). numbers: all of `moved`, followed by the seven other arrays of the k contacts, (6 n + 9 k,).
     """
-    pair, x, y, n_x, n_y, separation, p_x, p_y = pair_impulses.T
-    starts = np.zeros((2, len(pair)))
-    starts[:, np.searchsorted(pair, contacts.body_a * MOST_BODIES + contacts.body_b)] = contacts[7:]
-    normal, pulls = np.column_stack([n_x, n_y]), p_x * n_x + p_y * n_y < 0.0
-    across = np.column_stack([p_y, -p_x])[pulls] / np.hypot(p_x, p_y)[pulls, None]
-    normal[pulls] = np.where((across * normal[pulls]).sum(axis=1, keepdims=True) < 0.0, -across, across)
-    n_x, n_y = normal.T
-    impulses = np.maximum(p_x * n_x + p_y * n_y, 0.0), p_x * n_y - p_y * n_x
-    places = np.column_stack([x, y]), normal, separation.copy()
-    return Contacts(*np.divmod(pair.astype(np.int64), MOST_BODIES), *places, *impulses, *starts)
+    position, velocity, angle, spin = moved
+    n, m, rows = angle.shape[0], contacts.body_a.shape[0], pair_impulses.shape[0]
+    for i in range(n):
+        for axis in range(2):
+            numbers[2 * i + axis], numbers[2 * (n + i) + axis] = position[i, axis], velocity[i, axis]
+        numbers[4 * n + i], numbers[5 * n + i] = angle[i], spin[i]
+    k, j = rows if rows > 0 else m, 0
+    at, on, of = 6 * n, 6 * n + 2 * k, 6 * n + 4 * k  # where positions, normals, and the other arrays begin
+    if rows == 0:
+        for i in range(m):
+            pairs[i], pairs[k + i] = contacts.body_a[i], contacts.body_b[i]
+            for axis in range(2):
+                numbers[at + 2 * i + axis] = contacts.position[i, axis]
+                numbers[on + 2 * i + axis] = contacts.normal[i, axis]
+            numbers[of + i] = contacts.separation[i]
+            numbers[of + k + i], numbers[of + 2 * k + i] = contacts.normal_impulse[i], contacts.tangent_impulse[i]
+            numbers[of + 3 * k + i], numbers[of + 4 * k + i] = contacts.normal_start[i], contacts.tangent_start[i]
+        return
+    for i in range(rows):
+        pair = np.int64(pair_impulses[i, PAIR])
+        pairs[i], pairs[k + i] = pair // MOST_BODIES, pair % MOST_BODIES
+        n_x, n_y = pair_impulses[i, N_X], pair_impulses[i, N_Y]
+        p_x, p_y = pair_impulses[i, P_X], pair_impulses[i, P_Y]
+        if p_x * n_x + p_y * n_y < 0.0:
+            size = math.hypot(p_x, p_y)
+            a_x, a_y = p_y / size, -p_x / size
+            if a_x * n_x + a_y * n_y < 0.0:
+                a_x, a_y = -a_x, -a_y
+            n_x, n_y = a_x, a_y
+        numbers[at + 2 * i], numbers[at + 2 * i + 1] = pair_impulses[i, X], pair_impulses[i, Y]
+        numbers[on + 2 * i], numbers[on + 2 * i + 1] = n_x, n_y
+        numbers[of + i] = pair_impulses[i, SEPARATION]
+        numbers[of + k + i] = max(p_x * n_x + p_y * n_y, 0.0)
+        numbers[of + 2 * k + i] = p_x * n_y - p_y * n_x
+        started = j < m and pair_of(contacts, j) == pair
+        numbers[of + 3 * k + i] = contacts.normal_start[j] if started else 0.0
+        numbers[of + 4 * k + i] = contacts.tangent_start[j] if started else 0.0
+        j += started

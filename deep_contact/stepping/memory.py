@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from deep_contact.compiled.direct import Direct
@@ -14,6 +16,7 @@ from deep_contact.stepping.context import (
     StepInput,
     StepMemory,
     StepOptions,
+    contacts_of_context,
     make_context,
     make_memory,
     with_optional,
@@ -39,7 +42,10 @@ class Steps:
         self._options = StepOptions(entry.settings(solver), solver.position_sweeps, carry)
         self._solver, self._memory, self._direct = solver, {}, {}
         self._asked = self._rare = None  # the last input of steps, and its `with_optional`
-        self._contexts: dict = {}  # buffer -> the last input of steps, and its context
+        # Buffer -> the last input of steps, and its context. (Buffer, `_is_plain`) -> the argument `step` of the last
+        # call from there, the input that was made of it, the context and the compiled function.
+        self._contexts: dict = {}
+        self._buffers, self._views = {}, {}  # key -> three buffers; (buffer, key) -> the last contacts found in it
         self._found: tuple = (None, -1, False)  # body_a of the last contacts, their buffer, and the key of its memory
         self.sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
 
@@ -47,6 +53,19 @@ class Steps:
         """Wake all islands."""
         if self.sleep is not None:
             self.sleep.still[:] = 0.0
+
+    def takes(self, solver) -> bool:
+        """Take other options of the solver for the following steps, if nothing but the tolerance differs.
+
+        Returns whether the options are taken.
+        """
+        if solver == self._solver:
+            return True
+        if replace(solver, tolerance=self._solver.tolerance) != self._solver:
+            return False
+        self._solver, self._contexts = solver, {}
+        self._options = self._options._replace(settings=entry_of(solver).settings(solver))
+        return True
 
     def memory(self, step: StepInput, contacts: int = 0) -> StepMemory:
         """The memory of these steps, which differs for rows with and without tangents. contacts: their number."""
@@ -64,7 +83,7 @@ class Steps:
             memory = make_memory(n, capacity, self._solver.sweeps, friction)
             workspace = make_workspace(self._options.settings, memory.rows, memory.solver_bodies)
             memory = memory._replace(workspace=workspace)
-            buffers = *memory.contacts, make_contacts(capacity)
+            buffers = self._buffers[key] = *memory.contacts, make_contacts(capacity)
             self._memory[key] = [memory._replace(contacts=(buffers[i], buffers[j])) for i, j in _BUFFERS]
         return self._memory[key]
 
@@ -73,12 +92,26 @@ class Steps:
         found, buffer, kept = self._found
         return buffer if contacts.body_a is found and key == kept else -1
 
-    def _keep(self, following: Contacts, substeps: int, buffer: int, key: bool) -> Contacts:
-        """Record the buffer of the contacts after substeps, which fill two buffers in turn, and return them."""
+    def _keep(
+        self, context: StepContext, contacts: Contacts, m: int, substeps: int, buffer: int, key: bool
+    ) -> Contacts:
+        """Return the contacts after substeps, which fill two buffers in turn, and record their buffer.
+
+        context: the context of the steps. contacts: those before the substeps, in this buffer. m: number of contacts
+        after the substeps, or −1 (`context.results_of`).
+        """
         if self.sleep is not None:  # substeps in which all circles sleep fill no buffer
-            following, buffer = Contacts(*map(np.copy, following)), -1
-        elif substeps > 0:
+            following, buffer = Contacts(*map(np.copy, contacts_of_context(context))), -1
+        elif substeps == 0:
+            following = contacts
+        elif m < 0:
+            following, buffer = contacts_of_context(context), _BUFFERS[buffer][substeps % 2]
+        else:
             buffer = _BUFFERS[buffer][substeps % 2]
+            following = self._views.get((buffer, key))
+            if following is None or len(following.body_a) != m:
+                following = Contacts(*[array[:m] for array in self._buffers[key][buffer]])
+                self._views[buffer, key] = following
         self._found = following.body_a, buffer, key
         return following
 
@@ -103,32 +136,43 @@ class Steps:
                 pair_impulses = log_impulses(log, log.pair_impulses, contacts, impacts, step.bodies.count)
                 log = log._replace(pair_impulses=pair_impulses)
         while True:
-            self._is_plain = self._is_plain and step.motion is None
-            step = step if self._is_plain else self._with_optional(step)
-            kind = self._is_plain, key, step.actuation is None  # what the types of all arguments depend on
-            if kind not in self._direct:
-                self._direct[kind] = Direct(self._advance)
-            context = self._context_of(step, buffer, contacts, log, built)
-            advance_steps = self._direct[kind]
-            following, pair_impulses = advance_steps(context, contacts, step.motion, self.sleep, log, step.actuation)
-            substeps = int(log.substeps[0] if len(log.substeps) == 1 else log.substeps.sum())
-            following, before = self._keep(following, substeps - before, buffer, key), substeps
-            if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.substeps * len(log.contacts):
+            # Most calls repeat the last call that began in this buffer. What that call has found serves again.
+            asked, found = step, self._contexts.get((buffer, self._is_plain))
+            if built is None and found is not None and found[0] is step:
+                _, step, context, advance_steps = found
+            else:
+                self._is_plain = self._is_plain and step.motion is None
+                step = step if self._is_plain else self._with_optional(step)
+                kind = self._is_plain, key, step.actuation is None  # what the types of all arguments depend on
+                if kind not in self._direct:
+                    self._direct[kind] = Direct(make_context), Direct(self._advance)
+                make, advance_steps = self._direct[kind]
+                context = self._context_of(step, buffer, contacts, log, built, make)
+                if built is None:
+                    self._contexts[buffer, self._is_plain] = asked, step, context, advance_steps
+            m, pair_impulses = advance_steps(context, contacts, step.motion, self.sleep, log, step.actuation)
+            substeps = log.substeps.item() if len(log.substeps) == 1 else int(log.substeps.sum())
+            following, before = self._keep(context, contacts, m, substeps - before, buffer, key), substeps
+            if not self._is_plain:
+                return following, pair_impulses
+            if log.progress[WORK] <= 0 or log.progress[DONE] == step.substeps * len(log.contacts):
                 return following, pair_impulses
             # A circle is fast, so the next call has the code for it. The rows that were built are overwritten by now.
             self._is_plain, contacts, log, built = False, following, log._replace(pair_impulses=pair_impulses), None
             buffer = self._buffer_of(following, key)
 
-    def _context_of(self, step: StepInput, buffer: int, contacts: Contacts, log: StepLog, built) -> StepContext:
+    def _context_of(
+        self, step: StepInput, buffer: int, contacts: Contacts, log: StepLog, built, make: Direct
+    ) -> StepContext:
         """The context of steps from contacts in this buffer. It serves until the input of the steps changes.
 
-        built: fields of the memory that are filled already for a single step, or None.
+        built: fields of the memory that are filled already for a single step, or None. make: `make_context`.
         """
         before, context = self._contexts.get(buffer, (None, None))
         if built is not None or before is not step:
             memory = self._memories(step, contacts.count)[buffer]
             memory = memory._replace(**built) if built else memory
-            context = make_context(step, self._options, memory, contacts, log)
+            context = make(step, self._options, memory, contacts, log)
             if built is None:
                 self._contexts[buffer] = step, context
         return context

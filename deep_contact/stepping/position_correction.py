@@ -135,7 +135,7 @@ def correct_positions(bodies, contacts, box, segments, scales, sweeps, workspace
     memory["sweeps"] = done
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def correct_in_turn(bodies, contacts, box, segments, scales):
     """Do one sweep of position correction, contact by contact, in place. Returns the least separation, m, at most 0."""
     n = bodies.mass.shape[0]

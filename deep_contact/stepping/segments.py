@@ -30,7 +30,9 @@ from deep_contact.stepping.segment_grid import (
     END,
     ON,
     START,
+    cells_of_box,
     circles_beside,
+    is_beyond,
     near_box,
     nearest_part,
     segment_gap,
@@ -103,7 +105,7 @@ def ground_velocities(contacts, world, n):
     return velocities
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def touches(segments, box, i, s, x, y, reach, barred):
     """Return whether circle i with its centre at (x, y) has a contact with segment s, if all pairs touch.
 
@@ -135,7 +137,7 @@ def touches(segments, box, i, s, x, y, reach, barred):
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def hides(segment, e_x, e_y, x, y, reach):
     """Return whether an end (e_x, e_y) lies on a segment, or just behind it as seen from (x, y).
 
@@ -151,6 +153,32 @@ def hides(segment, e_x, e_y, x, y, reach):
     return -BEHIND * reach <= before <= ON * reach and -beyond <= along <= length + beyond
 
 
+@njit(cache=True, error_model="numpy", _nrt=False)
+def append_pairs(position, radius, walls, segments, barred, circles, body_a, body_b, end):
+    """Do the search of `insert_pairs`: write the pairs behind the first `end` pairs, in place.
+
+    barred: `StepInput.touches`. circles: (n,), overwritten. Returns the new number of pairs, or -1 if they do not fit.
+    In rough ground a circle has dozens of segments in its cell. Numba therefore counts no references here (`_nrt`),
+    which took most of the time.
+    """
+    n, grid, start, near, line = position.shape[0], segments.grid, segments.start, segments.near, segments.line
+    for j in range(circles_beside(segments, position, position, circles)):
+        i = circles[j]
+        x, y, reach = position[i, 0], position[i, 1], NEARLY * (radius[i] + walls.skin)
+        first, last, bottom, top = cells_of_box(grid, x, x, y, y)
+        for row in range(bottom, top + 1):
+            for k in range(start[row * grid[3] + first], start[row * grid[3] + last + 1]):
+                # A call of `touches` copies all fields of `segments`, so that far segments are left out before it.
+                if is_beyond(line[near[k]], x, y, reach):
+                    continue
+                if touches(segments, walls.box, i, near[k], x, y, reach, (barred, n + 4)):
+                    if end == body_a.shape[0]:
+                        return -1
+                    body_a[end], body_b[end] = i, n + 4 + near[k]
+                    end += 1
+    return end
+
+
 @njit(cache=True)
 def insert_pairs(position, radius, walls, segments, barred, body_a, body_b, m):
     """Insert the touching pairs of circles and segments into `body_a` and `body_b`, in place.
@@ -158,16 +186,10 @@ def insert_pairs(position, radius, walls, segments, barred, body_a, body_b, m):
     Their first m pairs are sorted by (body_a, body_b), and stay so with the new ones. barred: `StepInput.touches`.
     Returns the new number of pairs, or -1 if they do not fit.
     """
-    n, end = position.shape[0], m
-    circles = np.empty(n, np.int64)
-    for i in circles[: circles_beside(segments, position, position, circles)]:
-        x, y = position[i, 0], position[i, 1]
-        for s in near_box(segments, x, x, y, y, segments.every):
-            if touches(segments, walls.box, i, s, x, y, NEARLY * (radius[i] + walls.skin), (barred, n + 4)):
-                if end == body_a.shape[0]:
-                    return -1
-                body_a[end], body_b[end] = i, n + 4 + s
-                end += 1
+    circles = np.empty(len(position), np.int64)
+    end = append_pairs(position, radius, walls, segments, barred, circles, body_a, body_b, m)
+    if end < 0:
+        return -1
     more_a, more_b = body_a[m:end].copy(), body_b[m:end].copy()
     i, j = m - 1, end - m - 1
     # Merged from the back. Among the pairs of a circle, those with segments come last.

@@ -22,7 +22,7 @@ from deep_contact.stepping.broad_phase import circles_around, refresh_list, sort
 from deep_contact.stepping.contacts import wall_gap
 from deep_contact.stepping.context import substep_of
 from deep_contact.stepping.pairs import largest_of
-from deep_contact.stepping.segment_grid import is_free, near_box, segment_gap
+from deep_contact.stepping.segment_grid import cells_of_box, is_beyond, segment_gap
 from deep_contact.stepping.segments import wall_velocity
 
 
@@ -103,14 +103,14 @@ def fastest_wall(actuation):
     return speed
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", _nrt=False)
 def fastest_onto_walls(step, fastest, actuation):
     """Return the fastest approach of a circle to a wall or segment that closes the gap between them within Δt, m/s.
 
     The result is at least `fastest`, m/s. step: `StepInput`. actuation: `Actuation` of the step, or None.
     """
     bodies, box, segments, dt, skin = step.bodies, step.box, step.segments, step.dt, step.scales.wall_skin
-    buffer, start, grid, speed = np.empty_like(segments.every), segments.start, segments.grid, fastest_wall(actuation)
+    start, grid, speed = segments.start, segments.grid, fastest_wall(actuation)
     for i in range(bodies.mass.shape[0]):
         v_x, v_y = bodies.velocity[i, 0] + dt * step.gravity[0], bodies.velocity[i, 1] + dt * step.gravity[1]
         if speed == 0.0 and v_x * v_x + v_y * v_y <= fastest * fastest:
@@ -124,16 +124,19 @@ def fastest_onto_walls(step, fastest, actuation):
                 fastest = approach
         # A gap can close within Δt only if the segment lies within reach of a place to which the circle can come.
         far = dt * (math.sqrt(v_x * v_x + v_y * v_y) + speed)
-        if is_free(start, grid, x - far, x + far, y - far, y + far):
-            continue
-        for s in near_box(segments, x - far, x + far, y - far, y + far, buffer):
-            gap, n_x, n_y = segment_gap(segments.line[s], x, y)
-            approach = v_x * n_x + v_y * n_y
-            if actuation is not None:
-                w_x, w_y = wall_velocity(segments.line, actuation.wall, s, x, y)
-                approach -= w_x * n_x + w_y * n_y
-            if approach > fastest and gap - reach < approach * dt:
-                fastest = approach
+        left, right, bottom, top = cells_of_box(grid, x - far, x + far, y - far, y + far)
+        for row in range(bottom, top + 1):
+            for k in range(start[row * grid[3] + left], start[row * grid[3] + right + 1]):
+                s = segments.near[k]
+                if is_beyond(segments.line[s], x, y, reach + far):
+                    continue
+                gap, n_x, n_y = segment_gap(segments.line[s], x, y)
+                approach = v_x * n_x + v_y * n_y
+                if actuation is not None:
+                    w_x, w_y = wall_velocity(segments.line, actuation.wall, s, x, y)
+                    approach -= w_x * n_x + w_y * n_y
+                if approach > fastest and gap - reach < approach * dt:
+                    fastest = approach
     return fastest
 
 

@@ -184,6 +184,31 @@ def test_a_preset_out_of_reach_is_said(study, monkeypatch):
 @pytest.mark.parametrize(
     ("scene", "said"),
     [
+        (dc.circles_in_box(4, friction=5.0), ()),
+        (dc.circles_in_box(50, friction=1.0), ()),
+        (dc.lattice_in_box(100, radius=(0.15, 1.5), restitution=0.6), ()),
+        (dc.hopper(100), ()),
+        (
+            dc.circles_in_box(50, friction=5.0, restitution=0.95),
+            ("friction 5: .* up to 1;", r"restitution 0\.95: .* up to 0\.9;"),
+        ),
+        (dc.hopper(100, radius=(0.2, 1.0)), (r"radii that differ [345]\.?\d* times, .* up to 1\.3;",)),
+    ],
+)
+def test_a_named_preset_says_which_quantities_nobody_checked(scene, said):
+    """Once, with what to do; the default promises nothing, and a scene that was checked gets no sentence."""
+    found = presets.decide(scene, "balanced").warnings
+    assert len(found) == bool(said)
+    for pattern in said:
+        assert re.search(rf"^accuracy='balanced': .*{pattern}.*measure_trade", found[0])
+    assert presets.decide(scene, None).warnings == ()
+    assert dc.plan(scene, accuracy="balanced").warnings == found
+    assert ("warning: " in str(dc.plan(scene, accuracy="balanced"))) == bool(said)
+
+
+@pytest.mark.parametrize(
+    ("scene", "said"),
+    [
         (dc.circles_in_box(100), None),
         (dc.circles_in_box(100, radius=(0.4, 1.0)), "100 circles of the kind mixed radii; it has none of about this"),
         (dc.lattice_in_box(200, radius=(0.1, 1.0)), r"radii that differ 9\.\d+ times; it has up to 3"),
@@ -358,7 +383,7 @@ def test_a_stiff_run_that_goes_on_keeps_the_division_of_its_steps():
 @pytest.mark.parametrize("through", ["memory", "xml", "h5"])
 def test_a_run_that_goes_on_under_its_preset_keeps_its_solver(through, tmp_path):
     """At another moment a preset can take another solver: this gas is slower, a dam has broken."""
-    scene = dc.drifting_circles(30, size=20.0, speed=5, restitution=1.0)
+    scene = dc.drifting_circles(30, size=20.0, speed=5, restitution=0.9)
     later = dc.simulate(scene, steps=37, accuracy="fast").state
     assert presets.decide(later, "fast").solver != later.solver
     if through == "xml":

@@ -54,6 +54,94 @@ def test_net_forces_and_torques_are_changes_of_momentum(kind):
         np.testing.assert_allclose(found.net.sum(axis=0), -static, rtol=0, atol=1e-9 * largest)
 
 
+def cross(r, p):
+    """r × p of vectors in the plane, (k, 2) each."""
+    return r[:, 0] * p[:, 1] - r[:, 1] * p[:, 0]
+
+
+def moved(kind, seed):
+    """A `scene` with moving and dragging segments, pegs, rollers, forces and torques: (state, push)."""
+    rng, state = np.random.default_rng(seed), scene(kind, seed)[0]
+    world = {"segments": SEGMENTS["segments"], "surface_speeds": [3.0, -2.0]}
+    world["segment_velocities"] = [((0.0, 0.2), (0.1, 0.3)), ((0.1, 0.3), (0.0, -0.2))]
+    is_fixed, is_peg = np.arange(12) % 6 == 0, np.arange(12) == 0
+    bodies = state.bodies._replace(
+        mass=np.where(is_fixed, np.inf, state.bodies.mass),
+        velocity=np.where(is_peg[:, None], 0.0, state.bodies.velocity),
+        spin=np.where(is_peg, 0.0, state.bodies.spin),
+    )
+    push = rng.normal(0, 5, (12, 2)), rng.normal(0, 5, 12)
+    return state.replace(world=replace(state.world, **world), bodies=bodies), push
+
+
+@pytest.mark.parametrize("kind", ["walls", "rebounds", "frictionless"])
+@pytest.mark.parametrize("solver", [dc.PGS, dc.BatchedPGS, dc.PSOR])
+def test_contacts_of_a_step_give_momentum_and_angular_momentum_to_rounding(kind, solver):
+    """Σ of the positions, normals, λ_n and λ_t of `on_step`'s contacts, in undivided steps.
+
+    m Δv = Σ P + (m g + f) Δt + shifts and x × m Δv + I Δω = Σ c × P + x × ((m g + f) Δt + shifts) + τ Δt. c: contact
+    point. x: centre before the step.
+    """
+    touched = np.zeros(4, int)
+    for seed in range(4):
+        state, (force, torque) = moved(kind, seed)
+        seen, free = [], ~state.bodies.is_fixed
+        live = dc.Simulator(
+            state, solver=solver(sweeps=12), push=(force, torque), on_step=lambda *step, seen=seen: seen.append(step)
+        )
+        for _ in range(120):
+            live.step()
+            (solved, record), after, n = seen[-1], live.state.bodies, 12
+            before, c, mass = solved.bodies, solved.contacts, np.where(free, state.bodies.mass, 0.0)
+            other = mass[:, None] * state.world.gravity * state.dt + np.where(free[:, None], force, 0.0) * state.dt
+            other += 0.0 if record.shifts is None else record.shifts
+            tangent = np.column_stack([c.normal[:, 1], -c.normal[:, 0]])
+            impulse = c.normal_impulse[:, None] * c.normal + c.tangent_impulse[:, None] * tangent
+            given, turned, about = other, torque * state.dt * free, cross(before.position, other)
+            for body, sign in ((c.body_a, -1.0), (c.body_b, 1.0)):
+                of_circle = (body < n) & free[np.minimum(body, n - 1)]
+                on, which = sign * impulse[of_circle], body[of_circle]
+                np.add.at(given, which, on)
+                np.add.at(about, which, cross(c.position[of_circle], on))
+            change = mass[:, None] * (after.velocity - before.velocity)
+            spun = 0.5 * mass * before.radius**2 * (after.spin - before.spin)
+            largest = max(1.0, np.abs(impulse).max(initial=0.0), np.abs(change).max())
+            np.testing.assert_allclose(given, change, rtol=0, atol=1e-13 * 100 * largest)
+            expected = cross(before.position, change) + spun
+            np.testing.assert_allclose(about + turned, expected, rtol=0, atol=1e-13 * 1000 * largest)
+            wall = c.body_b - n
+            touched += (c.normal_impulse > 0) @ np.column_stack(
+                [wall < 0, (wall >= 0) & (wall < 4), wall >= 4, ~free[np.where(wall < 0, c.body_b, c.body_a)]]
+            )
+    assert (touched > 20).all()  # circles, walls, segments, fixed circles
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.6])
+def test_torques_of_a_divided_step_are_those_at_the_places_where_its_contacts_began(restitution):
+    """I Δω is within |P| times the way that the two bodies of a contact make relative to each other in the step.
+
+    In a divided step a contact point moves from substep to substep, and the record has one point. m Δv is exact.
+    """
+    solver, largest = dc.PGS(sweeps=12, substeps=4), 0.0
+    for seed in range(3):
+        state, seen = scene("segments", seed)[0], []
+        state = state.replace(world=replace(state.world, restitution=restitution))
+        run = dc.simulate(state, steps=300, solver=solver, on_step=lambda solved, _, seen=seen: seen.append(solved))
+        for solved, after in zip(seen, [*(one.bodies for one in seen[1:]), run.state.bodies]):
+            before, c = solved.bodies, solved.contacts
+            turned = before.inertia * (after.spin - before.spin) / state.dt
+            error = np.abs(dc.forces(solved).torque - turned)
+            size = np.hypot(c.normal_impulse, c.tangent_impulse) / state.dt
+            speeds = [np.hypot(*one.velocity.T) + before.radius * np.abs(one.spin) for one in (before, after)]
+            way = state.dt * 2.0 * (np.max(speeds) + state.dt * 9.81)
+            bound = np.zeros(12)
+            for body in (c.body_a, c.body_b):
+                np.add.at(bound, body[body < 12], way * size[body < 12])
+            assert (error <= bound + 1e-9).all()
+            largest = max(largest, error.max())
+    assert largest > 1e-6  # it is an error, though a small one
+
+
 @pytest.mark.parametrize("restitution", [0.0, 0.6])
 @pytest.mark.parametrize("method", [*PRESETS, dc.BatchedPGS(sweeps=12, substeps=2, most_substeps=8)], ids=str)
 def test_impulses_of_a_step_are_the_change_of_momentum_whatever_divides_it(method, restitution):

@@ -6,6 +6,7 @@ import pickle
 import platform
 import re
 import shutil
+import signal
 import subprocess
 import sys
 from contextlib import ExitStack
@@ -123,14 +124,15 @@ def test_code_for_classes_of_other_packages_is_not_kept(tmp_path, monkeypatch):
 
 
 UNTOUCHED = """
-from numba.core import boxing, caching, dispatcher, pythonapi, types
+from numba.core import boxing, caching, codegen, dispatcher, pythonapi, types
 from numba.core.runtime.context import NRTContext
 from numba.np import linalg
 
 def seen():
     places = caching, caching.IndexDataCacheFile, caching._SourceFileBackedLocatorMixin, dispatcher.Dispatcher
     boxers = [pythonapi._boxers.functions[one] for one in (types.NamedTuple, types.NamedUniTuple)]
-    return [dict(vars(one)) for one in (*places, pythonapi.PythonAPI, NRTContext, linalg)], boxers
+    places += pythonapi.PythonAPI, codegen.JITCPUCodegen, NRTContext, linalg
+    return [dict(vars(one)) for one in places], boxers
 
 before = seen()
 from deep_contact.stepping.convergence import is_over
@@ -197,6 +199,37 @@ def test_code_for_a_named_processor_travels(tmp_path):
     assert first.count(" 1\n") == 3
     assert run_small(there, **target).stdout == first.replace(" 1\n", " 0\n")
     assert {path: path.stat().st_mtime_ns for path in there.rglob("*")} == before
+
+
+KILLED = """
+import os, signal, sys
+from numba.core import event
+from deep_contact.compiled import code_cache
+
+def die(*arguments):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+if sys.argv[1] == "compiling":
+    class Death(event.Listener):
+        on_start, on_end = die, die
+    event.register("numba:compile", Death())
+else:
+    setattr(code_cache._CheckedFile, sys.argv[1], die)
+"""
+"""Kills its process when the first function of `SMALL` is compiled, or when a file of its cache is written."""
+
+
+@needs_compiler
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal on this system")
+@pytest.mark.parametrize("when", ["compiling", "_save_data", "_save_index"])
+def test_a_process_that_is_killed_leaves_a_cache_that_works(tmp_path, when):
+    """The code that it was about to keep is compiled by the next process, and read by the one after that."""
+    copy_of_the_package(tmp_path)
+    environment = {"PYTHONPATH": str(tmp_path), "NUMBA_CACHE_DIR": ""}
+    run_python("-c", KILLED + SMALL, when, status=-signal.SIGKILL, environment=environment, cwd=tmp_path)
+    first = run_small(tmp_path).stdout
+    assert first.count(" 1\n") == 3
+    assert run_small(tmp_path).stdout == first.replace(" 1\n", " 0\n")
 
 
 def double(x):

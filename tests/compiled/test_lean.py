@@ -12,6 +12,7 @@ import pytest
 from conftest import ROOT, run_python
 from llvmlite import ir
 from numba import types
+from numba.core.codegen import JITCodeLibrary, JITCPUCodegen
 from numba.core.registry import cpu_target
 from numba.core.runtime.context import NRTContext
 
@@ -39,6 +40,19 @@ def plus_one(x):
 def plus_two(x):
     return root(x) + 2
 
+@njit(cache=True)
+def says(x):
+    print("said", x)  # Python's constant "said" lies in the function's environment
+    return x
+
+@njit(cache=True)
+def says_one(x):
+    return says(x) + 1
+
+@njit(cache=True)
+def says_two(x):
+    return says(x) + 2
+
 @numba.njit
 def of_a_user(x):
     return x**0.5
@@ -55,6 +69,10 @@ def has_wrapper(function):
     (compiled,) = function.overloads.values()
     code, names = compiled[compiled._fields.index("library")], compiled.fndesc
     return code.get_pointer_to_function(names.llvm_cpython_wrapper_name) != 0
+
+def has_machine_code(function):
+    (compiled,) = function.overloads.values()
+    return compiled[compiled._fields.index("library")]._is_loaded
 
 def error_of(function):
     try:
@@ -100,6 +118,31 @@ def test_a_new_caller_takes_what_the_cache_has_without_a_wrapper(run):
     assert run("plus_one(4.0)", "error_of(plus_one)") == ["3.0", "('negative', -1.0)"]
     assert run(*expressions) == ["4.0", "1", "('negative', -1.0)", "2.0"]
     assert run(*expressions) == ["4.0", "0", "('negative', -1.0)", "2.0"]  # now the caller's own code has it
+
+
+def test_a_function_gets_machine_code_when_python_calls_it(run):
+    code = "has_machine_code(root)"
+    assert run("plus_one(4.0)", code, "root(4.0)", code, "root(9.0)") == ["3.0", "False", "2.0", "True", "3.0"]
+
+
+def test_what_the_cache_has_without_machine_code_gets_none_from_a_new_caller(run):
+    assert run("plus_one(4.0)") == ["3.0"]
+    assert run("plus_two(4.0)", "has_machine_code(root)") == ["4.0", "False"]
+
+
+def test_constants_of_python_reach_the_code_into_which_they_are_linked(run):
+    """Compiled at once, read from the cache, and under a caller that is new to what the cache has."""
+    for _ in range(2):
+        assert run("says_one(4.0)") == ["said 4.0", "5.0"]
+    for _ in range(2):
+        assert run("says_two(4.0)", "says_one(4.0)", "says(4.0)") == [
+            "said 4.0",
+            "6.0",
+            "said 4.0",
+            "5.0",
+            "said 4.0",
+            "4.0",
+        ]
 
 
 def test_a_users_functions_keep_their_code_inside_ours_and_around_them(run):
@@ -203,6 +246,8 @@ def test_an_interrupt_leaves_the_collector_as_it_was(collector, monkeypatch):
     assert gc.isenabled()
     assert lean.LeanDispatcher._depth == 0
     assert NRTContext.get_meminfos is not lean._get_meminfos
+    assert JITCPUCodegen._library_class is JITCodeLibrary
+    assert JITCPUCodegen.set_env is lean._numbas_set_env
 
 
 def test_threads_that_compile_and_call_at_once():

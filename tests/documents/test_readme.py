@@ -50,9 +50,19 @@ def test_tables_and_sentences_have_the_numbers_of_the_results_files():
     run_python(DOCS / "tables.py", "--check")
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if page != "docs/tried.md"])  # whose files are gone
+@pytest.mark.parametrize("page", [page for page in PAGES if "/tried" not in page])  # whose files are gone
 def test_a_number_of_the_prose_has_its_file_or_was_chosen(page):
     assert measured.unexplained(PAGES[page].name, TEXTS[page]) == []
+
+
+def test_what_was_tried_has_a_line_for_each_section_of_the_archive_with_numbers_of_that_section():
+    sections = dict(re.findall(r"^### (.*)\n((?:(?!##).*\n)*)", TEXTS["docs/tried_archive.md"], re.MULTILINE))
+    lines = re.findall(r"^\| \[(.*)\]\(tried_archive\.md#.*?\) \| (.*) \|$", TEXTS["docs/tried.md"], re.MULTILINE)
+    assert [title for title, _ in lines] == list(sections)
+    for title, line in lines:
+        line, number = re.sub(r"`[^`]*`|(?:Table|Figure) \d\.\d", "", line), r"(?<![\w.,])\d+(?:,\d{3})*(?:\.\d+)?"
+        missing = set(re.findall(number, line)) - set(re.findall(number, sections[title]))
+        assert missing == set(), title
 
 
 def test_a_sentence_gets_its_numbers_wherever_its_lines_end(monkeypatch):

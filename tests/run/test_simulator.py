@@ -2,6 +2,7 @@
 
 import pickle
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +12,9 @@ from conftest import circles_at
 import deep_contact as dc
 from deep_contact.compiled.direct import OFTEN, Direct
 from deep_contact.starts.changed_load import with_time_step
+from deep_contact.state.arrays import no_contacts
 from deep_contact.stepping.log import FINITE
+from deep_contact.stepping.problem import contacts_of
 
 WAYS = {
     "fast": ({}, {"accuracy": "fast"}),
@@ -43,6 +46,22 @@ def test_step_by_step_in_parts_and_in_one_call_are_the_same_bits(way):
             run.step(steps)
         assert run.state == whole.state
         assert run.time == whole.state.time
+
+
+def test_contacts_that_do_not_fit_into_the_memory_of_a_run_are_handed_over_too():
+    # 40 circles in one place have more pairs than the memory has room for, and lose them while they part.
+    position = 15.0 + 0.2 * np.random.default_rng(0).normal(size=(40, 2))
+    scene, counts = circles_at(position, radius=0.5).replace(contacts=no_contacts()), set()
+    run = dc.Simulator(scene, solver=dc.PGS(sweeps=8))
+    capacity = run._steps.memory(run._inputs).rows.body.shape[0]
+    for _ in range(60):
+        run.step()
+        contacts, expected = run.state.contacts, contacts_of(run.state)
+        for one, other in zip(contacts[:5], expected[:5]):
+            np.testing.assert_array_equal(one, other)
+        counts.add(contacts.count)
+    assert len(counts) > 5
+    assert max(counts) > capacity > min(counts)
 
 
 @pytest.mark.parametrize("how", [{}, {"accuracy": "fast"}])
@@ -89,6 +108,115 @@ def test_what_is_set_holds_from_there_on(changes, pile):
     with pytest.raises(ValueError, match="friction: expected"):
         run.set(friction=-1.0)
     assert run.state.world == world
+
+
+def turned(angle, strength=9.81):
+    return strength * np.sin(angle), -strength * np.cos(angle)
+
+
+def forces(newtons):
+    return np.array([[newtons, 0.0], [0.0, 0.0], [0.0, 0.0], [0.0, newtons]])
+
+
+SMALL = {
+    "gravity turned": lambda k: {"gravity": turned(1e-3 * k)},
+    "gravity stronger": lambda k: {"gravity": turned(0.0, 9.81 + 0.02 * k)},
+    "gravity weaker": lambda k: {"gravity": turned(0.0, 9.81 - 0.02 * k)},
+    "friction": lambda k: {"friction": 0.4 - 5e-4 * k},
+    "restitution": lambda k: {"restitution": 0.1 + 5e-4 * k},
+    "push": lambda k: {"push": forces(0.03 * k)},
+    "push with torques": lambda k: {"push": (forces(0.02 * k), np.full(4, -0.01 * k))},
+    "all": lambda k: {"push": forces(0.01 * k), "gravity": turned(1e-4 * k), "friction": 0.4 - 1e-4 * k},
+}
+"""What changes by little -> the k-th change."""
+
+
+@pytest.mark.parametrize("how", [{"solver": dc.PGS()}, {"solver": dc.BatchedPGS(sweeps=8)}, {"accuracy": "fast"}])
+@pytest.mark.parametrize("name", SMALL)
+def test_small_changes_are_set_in_place_with_the_bits_of_changed_states(name, how):
+    """PGS() ends its sweeps at a tolerance that follows gravity."""
+    scene = dc.column(4, friction=0.4)
+    scene = scene.replace(world=replace(scene.world, restitution=0.1 * (name == "restitution")))
+    if name == "friction":  # discs that slide on a slope, with λ_t at its bound
+        centres = [[5.0, 1.0], [10.0, 1.0], [15.0, 1.0], [20.0, 1.0]]
+        scene = circles_at(centres, box=(0, 0, 99, 30), friction=0.4, gravity=turned(1.1))
+    nothing = forces(0.0) if "push" in SMALL[name](0) else None
+    state = dc.simulate(scene, steps=40, push=nothing, **how).state
+    run, made = dc.Simulator(state, push=nothing, **how), []
+    run._change = lambda *_: made.append(0)
+    for k in range(1, 9):
+        changes = SMALL[name](k)
+        run.set(**changes)
+        run.step()
+        push = changes.pop("push", None)
+        state = state.replace(world=replace(state.world, **changes))
+        state = dc.simulate(state, steps=1, push=push, **how).state
+    assert not made
+    assert run.state == state
+    assert run.state.load == state.load
+    assert (run.state.load.anchor.spent > 0.0) == (name == "friction")
+    assert (run.state.solver, run.state.preset) == (state.solver, state.preset)
+    assert run._inputs.scales.sleep_speed == run.state.scales.sleep_speed
+
+
+def test_a_preset_keeps_its_solver_while_the_load_is_near():
+    """Circles that fell fast have got substeps, which they need no more when they rest."""
+    scene = dc.column(3)
+    scene = scene.replace(bodies=scene.bodies._replace(velocity=np.full((3, 2), [0.0, -60.0])))
+    state = dc.simulate(scene, steps=60, accuracy="fast").state
+    anew = dc.simulate(state.replace(solver=None), steps=0, accuracy="fast").state.solver
+    assert anew.substeps < state.solver.substeps
+    run = dc.Simulator(state, accuracy="fast")
+    for gravity, solver in (((1e-3, -9.81), state.solver), ((1.0, -9.81), anew)):
+        changed = state.replace(world=replace(state.world, gravity=gravity))
+        run.set(gravity=gravity)
+        assert run.state.solver == dc.simulate(changed, steps=0, accuracy="fast").state.solver == solver
+
+
+def test_a_small_change_wakes_what_sleeps():
+    run = dc.Simulator(dc.column(3, friction=0.4), solver=dc.PGS(sweeps=8), sleep=True)
+    run.step(100)
+    assert run._steps.sleep.still.max() > 0.0
+    run.set(gravity=(1e-4, -9.81))
+    assert run._steps.sleep.still.max() == 0.0
+
+
+def test_changes_that_add_up_are_not_set_in_place():
+    """Gravity turned by 1e-3 rad a step; 0.001 √(g r) is Δt g times 31.9e-3 rad."""
+    run, made = dc.Simulator(dc.column(4, friction=0.4), solver=dc.PGS(sweeps=8)), []
+    change = run._change
+    run._change = lambda *arguments: made.append(k) or change(*arguments)
+    run.step(40)
+    for k in range(1, 100):
+        run.set(gravity=turned(1e-3 * k))
+        run.step()
+    assert made == [32, 64, 96]
+
+
+def test_a_change_in_place_refuses_what_a_world_refuses_and_leaves_all_as_it_was(pile):
+    run = dc.Simulator(pile[0], **pile[1])
+    run.step(40)
+    before = run.state
+    for bad in ({"friction": -1.0}, {"gravity": (0.0, 1e7)}, {"restitution": 2.0}, {"push": [[1.0, 2.0]]}):
+        with pytest.raises(ValueError, match="expected"):
+            run.set(**{"gravity": (1e-3, -9.81)} | bad)
+        assert run.state == before
+        assert run.state.load == before.load
+    heavy = dc.Simulator(circles_at([[5.0, 5.0]], gravity=(0.0, -1e6)), **pile[1])
+    with pytest.raises(ValueError, match=r"gravity.*expected"):
+        heavy.set(gravity=(0.0, -1e6 - 10.0))
+
+
+def test_a_solver_for_another_tolerance_is_not_taken_for_that_of_before(pile):
+    """The tolerance follows gravity. It is that of the beginning when gravity and e are set, and e needs other code."""
+    run = dc.Simulator(pile[0], solver=dc.PGS())
+    run.step(40)
+    for change in ({"gravity": (0.0, -9.83)}, {"gravity": (0.0, -9.81), "restitution": 0.5}):
+        run.set(**change)
+        expected = dc.PGS().for_state(run.state)
+        assert run.state.solver == run._steps._solver == expected
+        assert run._steps._options.settings.tolerance == expected.tolerance
+        run.step(2)
 
 
 def test_the_time_step_can_be_set_and_scales_what_is_carried(pile):
@@ -171,6 +299,96 @@ def test_a_wall_that_becomes_fast_is_divided_whichever_of_its_ends_moves_and_whe
     assert run.state.world.segment_velocities == (tuple(sign * 400.0 * velocity),)
 
 
+ROLLERS = np.array([True, False, True, False, False])
+
+
+def rollers(**world):
+    """Two fixed circles, 0 and 2, with discs on them."""
+    places = [[5.0, 3.0], [4.0, 5.0], [8.0, 3.0], [6.5, 5.2], [8.5, 5.5]]
+    return circles_at(places, fixed=ROLLERS, box=(-9.0, 0.0, 22.0, 20.0), friction=0.5, **world)
+
+
+@pytest.mark.parametrize("how", [{"solver": dc.PGS(sweeps=8)}, {"solver": dc.BatchedPGS(sweeps=8)}, {"sleep": True}])
+@pytest.mark.parametrize("restitution", [0.0, 0.6])
+def test_motions_of_fixed_circles_that_are_set_are_those_of_a_state_that_has_them(how, restitution):
+    state = rollers(restitution=restitution)
+    live = dc.Simulator(state, **({"solver": dc.PGS(sweeps=8)} | how))
+    for k in range(60):
+        velocity, spin = np.array([[0.02 * k, 0.1], [-0.3, 0.0]]), np.array([-0.3 * k, 2.0])
+        live.set(fixed_velocities=velocity, fixed_spins=spin)
+        before = live.state
+        np.testing.assert_array_equal(before.bodies.velocity[ROLLERS], velocity)
+        np.testing.assert_array_equal(before.bodies.spin[ROLLERS], spin)
+        live.step()
+        if "sleep" not in how:
+            state_velocity, state_spin = state.bodies.velocity.copy(), state.bodies.spin.copy()
+            state_velocity[ROLLERS], state_spin[ROLLERS] = velocity, spin
+            bodies = state.bodies._replace(velocity=state_velocity, spin=state_spin)
+            state = dc.simulate(state.replace(bodies=bodies), steps=1, **how).state
+            assert live.state == state
+    assert np.abs(live.state.bodies.spin[~ROLLERS]).max() > 0.5  # they turn what lies on them
+
+
+def test_one_value_is_for_all_fixed_circles_and_the_other_stays():
+    live = dc.Simulator(rollers(), solver=dc.PGS(sweeps=8))
+    live.set(fixed_velocities=(1.0, 0.5))
+    live.set(fixed_spins=3.0)
+    assert live.velocities[ROLLERS].tolist() == [[1.0, 0.5]] * 2
+    assert live.state.bodies.spin[ROLLERS].tolist() == [3.0, 3.0]
+    live.set(fixed_spins=[1.0, -1.0], gravity=(0.0, -5.0))
+    assert live.velocities[ROLLERS].tolist() == [[1.0, 0.5]] * 2
+    assert live.state.bodies.spin.tolist()[::2][:2] == [1.0, -1.0]
+    assert live.state.world.gravity == (0.0, -5.0)
+    live.step(10)
+    np.testing.assert_allclose(live.positions[0], [5.1, 3.05])
+
+
+def test_a_disc_between_two_rollers_turns_with_their_surfaces():
+    """ω r = −Ω R, from any spin before."""
+    live = dc.Simulator(circles_at([[5.0, 3.0], [8.0, 3.0], [6.5, 4.4]], fixed=np.arange(3) < 2, friction=0.5))
+    for spin in (2.0, -3.0):
+        live.set(fixed_spins=spin)
+        live.step(400)
+        assert live.state.bodies.spin[2] == pytest.approx(-spin, rel=1e-6)
+        np.testing.assert_allclose(live.positions[2], [6.5, 3.0 + np.sqrt(4.0 - 1.5**2)], atol=0.02)
+
+
+def test_a_preset_decides_anew_for_a_fixed_circle_that_becomes_fast_and_not_for_a_slower_one():
+    start = rollers()
+    bodies = start.bodies._replace(velocity=np.where(ROLLERS[:, None], [0.5, 0.0], 0.0))
+    live = dc.Simulator(start.replace(bodies=bodies), accuracy="fast")
+    slow, inputs = live.state.solver.substeps, live._inputs
+    live.set(fixed_velocities=[[-0.3, 0.4], [0.0, 0.0]])
+    assert live._inputs is inputs
+    live.set(fixed_velocities=(100.0, 0.0))
+    assert live.state.solver.substeps > slow
+    assert live.velocities[ROLLERS].tolist() == [[100.0, 0.0]] * 2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"fixed_velocities": 1.0},
+            r"fixed_velocities: expected a finite pair, m/s, for all .* each of the 2, got 1.0",
+        ),
+        ({"fixed_velocities": [[1.0, 2.0]] * 3}, "fixed_velocities: expected"),
+        ({"fixed_spins": [1.0, np.nan]}, "fixed_spins: expected a finite number, rad/s"),
+        ({"fixed_spins": "fast"}, "fixed_spins: expected"),
+        ({"fixed_velocities": (1e11, 0.0)}, r"bodies\.velocity\[0, 0\]: expected -1e\+10 to 1e\+10 m/s"),
+        ({"fixed_spins": 1e11, "gravity": (0.0, 0.0)}, r"bodies\.spin\[0\]: expected"),
+    ],
+)
+def test_motions_of_fixed_circles_that_cannot_be_are_refused(change, message):
+    live = dc.Simulator(rollers(), solver=dc.PGS(sweeps=8))
+    before = live.state
+    with pytest.raises(ValueError, match=message):
+        live.set(**change)
+    assert live.state == before
+    with pytest.raises(ValueError, match="fixed_spins: expected"):
+        dc.Simulator(dc.column(1)).set(fixed_spins=1.0)  # none is fixed
+
+
 def test_time_goes_on_by_each_step_of_its_own():
     run = dc.Simulator(dc.column(2), solver=dc.PGS(sweeps=8))
     run.step(10)
@@ -246,7 +464,7 @@ def test_a_start_that_fails_leaves_the_last_whole_step(pile):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, FloatingPointError])
-@pytest.mark.parametrize("way", ["fast", "asleep", "rebounds", "batches"])
+@pytest.mark.parametrize("way", ["fast", "no start", "asleep", "rebounds", "batches"])
 def test_a_step_that_is_interrupted_or_diverges_leaves_the_last_whole_step(way, error, monkeypatch):
     world, how = WAYS[way]
     # Two discs that rub on a slope, beside two that come to rest on one another.
@@ -276,6 +494,25 @@ def test_a_step_that_is_interrupted_or_diverges_leaves_the_last_whole_step(way, 
         np.testing.assert_array_equal(steps.sleep.still, still)
     run.step(15)
     assert run.state == dc.simulate(scene, steps=60, **how).state
+
+
+def test_a_first_step_that_is_interrupted_leaves_impulses_that_are_not_those_from_which_it_starts(pile, monkeypatch):
+    # Later steps start from the impulses of the last one, so that only the first step has to copy both.
+    state = dc.simulate(pile[0], steps=30, **pile[1]).state
+    contacts = state.contacts._replace(normal_start=0.5 * state.contacts.normal_start)
+    run = dc.Simulator(state.replace(contacts=contacts), **pile[1])
+    before, steps = run.state, run._steps
+    assert (before.contacts.normal_start < before.contacts.normal_impulse).any()
+
+    def broken(*arguments):
+        type(steps).__call__(steps, *arguments)
+        raise KeyboardInterrupt
+
+    broken.sleep = steps.sleep
+    monkeypatch.setattr(run, "_steps", broken)
+    with pytest.raises(KeyboardInterrupt):
+        run.step()
+    assert run.state == before
 
 
 def test_a_run_that_is_interrupted_falls_asleep_as_one_that_is_not(monkeypatch):

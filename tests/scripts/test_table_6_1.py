@@ -40,6 +40,7 @@ def test_errors_are_those_of_each_map_and_none_for_the_true_image(falling_states
     assert sum(near["velocity error after 3 sweeps"]) < sum(zero["velocity error after 3 sweeps"])
 
 
+@pytest.mark.slow
 def test_networks_for_one_map_each_fill_both(tmp_path):
     pytest.importorskip("keras")
     rng = np.random.default_rng(0)

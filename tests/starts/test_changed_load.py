@@ -9,7 +9,8 @@ from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.starts import changed_load as load_module
-from deep_contact.starts.changed_load import load_of, with_time_step
+from deep_contact.starts.changed_load import fitted, with_new_load, with_time_step
+from deep_contact.starts.load import load_of
 
 PRESETS = "preview", "fast", "balanced", "accurate", "reference"
 
@@ -52,67 +53,6 @@ CHANGES = {
 def settled():
     scene = dc.circles_in_box(40, size=(12.0, 40.0), seed=3)
     return {preset: dc.simulate(scene, steps=1000, accuracy=preset).state for preset in PRESETS}
-
-
-LINES = [((0.0, 1.0), (9.0, 1.0)), ((20.0, 0.0), (20.0, 9.0))]
-
-
-def laden():
-    """Two circles beside a belt, under a push."""
-    world = dc.World(segments=LINES, surface_speeds=(1.0, 0.0), friction=0.5, restitution=0.2, scales=dc.BOX2D)
-    bodies = dc.make_bodies([[5.0, 2.0], [7.5, 2.0]], velocity=[[1.0, 0.0], [0.0, 2.0]], spin=[0.0, 1.0])
-    return dc.State(name="laden", world=world, bodies=bodies, push=(np.ones((2, 2)), np.ones(2)))
-
-
-def other(values):
-    """The same numbers but for the last."""
-    values = values.copy()
-    values.flat[-1] += 0.5
-    return values
-
-
-LOADS = {
-    "box": lambda s: world_of(s, box=(0.0, 0.0, 30.0, 31.0)),
-    "gravity": lambda s: world_of(s, gravity=(0.0, -9.8)),
-    "friction": lambda s: world_of(s, friction=0.6),
-    "restitution": lambda s: world_of(s, restitution=0.3),
-    "segments": lambda s: world_of(s, segments=[LINES[0], ((20.0, 0.0), (20.0, 9.5))]),
-    "surface_speeds": lambda s: world_of(s, surface_speeds=(5.0, 0.0)),
-    "no belt": lambda s: world_of(s, surface_speeds=()),
-    "scales": lambda s: world_of(s, scales=dc.BOX2D._replace(slop=0.004)),
-    "dt": lambda s: s.replace(dt=0.02),
-    "position": lambda s: bodies_of(s, position=other(s.bodies.position)),
-    "mass": lambda s: bodies_of(s, mass=other(s.bodies.mass)),
-    "radius": lambda s: bodies_of(s, radius=other(s.bodies.radius)),
-    "force": lambda s: s.replace(push=(other(s.push[0]), s.push[1])),
-    "torque": lambda s: s.replace(push=(s.push[0], other(s.push[1]))),
-    "no push": lambda s: s.replace(push=None),
-}
-"""Of what impulses are solved for -> a state with another."""
-MOTIONS = {
-    "velocity": lambda s: bodies_of(s, velocity=other(s.bodies.velocity)),
-    "spin": lambda s: bodies_of(s, spin=other(s.bodies.spin)),
-}
-
-
-def test_a_load_is_of_all_that_impulses_are_solved_for_and_of_nothing_else():
-    state = laden()
-    load, motion = load_of(state)
-    for name, change in LOADS.items():
-        assert load_of(change(state))[0] != load, name
-        assert load_of(change(state))[1] == motion, name
-    for name, change in MOTIONS.items():
-        assert load_of(change(state))[0] == load, name
-        assert load_of(change(state))[1] != motion, name
-    same = bodies_of(laden(), angle=np.array([1.0, 2.0])).replace(time=3.0, step=7, name="another")
-    assert load_of(same) == (load, motion)
-    smooth = world_of(state, friction=0.0)  # a belt drags nothing then
-    assert load_of(world_of(smooth, surface_speeds=(5.0, 0.0))) == load_of(smooth)
-    known = state.replace(load=(load, motion))
-    assert not load_module.has_new_load(known)
-    assert not load_module.has_new_load(MOTIONS["spin"](known))
-    assert load_module.has_new_load(LOADS["surface_speeds"](known))
-    assert not load_module.has_new_load(LOADS["gravity"](state))  # of which nothing is known
 
 
 @pytest.mark.parametrize("accuracy", PRESETS)
@@ -221,5 +161,152 @@ def test_what_moves_or_does_not_rest_is_solved_well(speed, left, relaxed, solved
     monkeypatch.setattr(load_module, "at_rest", lambda *start, **how: called["at_rest"].append(how) or ("n", "t", left))
     monkeypatch.setattr(load_module, "solve", lambda state, solver, *start: called["solve"].append(solver) or solution)
     load_module._good(state, None, None, None, None)
-    assert called["at_rest"] == [{"iterations": 2000, "speed": pytest.approx(1e-4 * 0.0981)}] * relaxed
+    expected = {"iterations": 2000, "speed": pytest.approx(1e-4 * 0.0981), "needed": pytest.approx(0.02 * 0.0981)}
+    assert called["at_rest"] == [expected] * relaxed
     assert called["solve"] == [dc.NesterovPGS(sweeps=500, tolerance=None)] * solved
+
+
+class Searched(Exception):
+    pass
+
+
+@pytest.fixture
+def no_search(monkeypatch):
+    """A search for other impulses raises `Searched`."""
+
+    def search(*_, **__):
+        raise Searched
+
+    monkeypatch.setattr(load_module, "_relaxed", search)
+
+
+SOLVER = dc.PGS(sweeps=20, tolerance=None)
+
+
+def pile_and(bodies):
+    """A column at rest with its impulses, and other circles beside it."""
+    state = dc.simulate(dc.column(4, friction=0.5), steps=300, solver=SOLVER).state
+    state = state.with_bodies(add=bodies)
+    return state.replace(load=load_of(state))
+
+
+def turned(state, angle):
+    return world_of(state, gravity=(9.81 * np.sin(angle), -9.81 * np.cos(angle)))
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0.0), (0.0, -5.0), (3.0, 0.0)])
+def test_a_circle_that_falls_or_rolls_is_no_reason_for_a_search(velocity, no_search):
+    """Gravity makes it faster by g Δt, whatever the impulses of the column are."""
+    height = 1.0 if velocity[0] else 6.0
+    state = pile_and(dc.make_bodies([[5.0, height]], velocity=velocity))
+    after = with_new_load(dc.find_contacts(turned(state, 0.004)), SOLVER)
+    assert after.contacts.normal_start.max() > 1.0
+
+
+KICKED = {
+    "faster by less than 0.001 √(g r)": (1, [0.0], 0.003, False),
+    "faster by more": (1, [0.0], 0.0032, True),
+    "one contact, and as fast from zero": (1, [0.05], 0.05, False),
+    "one contact, and slower from zero": (1, [0.04], 0.05, True),
+    "two contacts, and as fast from zero": (2, [0.05], 0.05, True),
+    "no contact": (0, [0.0], 0.05, False),
+}
+"""What a circle does in a step of 0.0981 m/s by gravity -> contacts, speeds from zero and now, whether it is kicked."""
+
+
+@pytest.mark.parametrize("name", KICKED)
+def test_a_circle_is_kicked_if_it_becomes_faster_than_all_were_and_gravity_is_not_why(name):
+    """The pile has four more circles, which rest on two contacts each."""
+    contacts, (free,), speed, is_kicked = KICKED[name]
+    pairs = [(1, 2), (2, 3), (3, 4), (1, 6), (4, 6), *[(0, 6), (0, 7)][:contacts]]
+    state, ends = circles_at([[5.0 * k, 20.0] for k in range(1, 6)]), np.array(sorted(pairs)).T
+    velocity, from_zero = np.zeros((5, 2)), np.zeros((5, 2))
+    velocity[0, 0], from_zero[0, 0] = speed, free
+    fake = SimpleNamespace(bodies=state.bodies, world=state.world, dt=state.dt, push=None, contacts=tuple(ends))
+    assert load_module._kicks(fake, velocity, from_zero) == is_kicked
+
+
+@pytest.mark.parametrize(("before", "after", "is_kicked"), [(0.05, 0.14, False), (0.05, 0.16, True), (0.04, 0.1, True)])
+def test_a_circle_that_moves_on_may_gain_what_gravity_gives(before, after, is_kicked):
+    state = circles_at([[5.0, 1.0]], velocity=[[before, 0.0]])
+    fake = SimpleNamespace(
+        bodies=state.bodies, world=state.world, dt=0.01, push=None, contacts=np.array([[0, 0], [1, 2]])
+    )
+    assert load_module._kicks(fake, np.array([[after, 0.0]]), np.zeros((1, 2))) == is_kicked
+
+
+def test_after_a_small_change_impulses_stay_and_after_many_they_are_tested(monkeypatch):
+    """Gravity turned in steps of 1e-3 rad: each is Δt g 1e-3, and the limit is 0.001 √(g r), 31.9 of them."""
+    tested = []
+    monkeypatch.setattr(load_module, "with_new_load", lambda state, *_, **__: tested.append(state) or state)
+    state = dc.simulate(dc.column(4, friction=0.5), steps=300, solver=SOLVER).state
+    carried, load = state.contacts, state.load
+    near, anchor = fitted(turned(state, 1e-3), SOLVER)
+    np.testing.assert_allclose(near.contacts.normal_start, carried.normal_start, rtol=1e-6)
+    assert anchor == load.anchor
+    counts = []
+    for k in range(1, 70):
+        state = dc.simulate(turned(state, 1e-3 * k), steps=1, solver=SOLVER).state
+        counts.append(len(tested))
+    assert (counts[30], counts[31], counts[62], counts[63]) == (0, 1, 1, 2)
+
+
+def test_impulses_follow_gravity_and_gravity_that_is_switched_off_leaves_none(no_search, monkeypatch):
+    state = dc.simulate(dc.column(4, friction=0.5), steps=300, solver=SOLVER).state
+    carried = state.contacts.normal_start
+    for factor in (1.001, 0.5, 3.0, 0.0):
+        after, _ = fitted(world_of(state, gravity=(0.0, -9.81 * factor)), SOLVER)
+        np.testing.assert_allclose(after.contacts.normal_start, factor * carried, rtol=1e-12)
+    monkeypatch.setattr(load_module, "_left", None)  # no solve is needed to see this
+    assert not fitted(world_of(state, gravity=(0.0, 0.0)), SOLVER)[0].contacts.have_past
+
+
+def test_a_state_keeps_what_it_carries_where_its_load_is_its_own_or_unknown(no_search):
+    state = dc.simulate(dc.column(4), steps=5, solver=SOLVER).state
+    assert fitted(state, SOLVER)[0] is state
+    unknown = world_of(state.replace(load=None), gravity=(1.0, 0.0))
+    after, anchor = fitted(unknown, SOLVER)
+    assert after is unknown
+    assert anchor.world is unknown.world
+
+
+@pytest.mark.parametrize("flies", [False, True])
+def test_a_pile_whose_gravity_comes_back_rests_whatever_flies_above_it(settled, flies):
+    """Its impulses are 0 by then. A circle that is faster than all others must not hide that the pile sinks."""
+    state = settled["fast"]
+    if flies:
+        state = state.with_bodies(add=dc.make_bodies([[6.0, 30.0]], velocity=(0.0, 2.0)))
+    off = world_of(dc.simulate(state, steps=1).state, gravity=(0.0, 0.0))
+    after = dc.simulate(world_of(dc.simulate(off, steps=3).state, gravity=(0.0, -9.81)), steps=1).state
+    assert np.hypot(*after.bodies.velocity[:40].T).max() < 0.03
+
+
+def test_impulses_by_which_circles_move_faster_than_they_fall_are_solved_well(settled, monkeypatch):
+    """The floor is gone, and with it all that can rest: the relaxation parts circles that slide."""
+    called, solved = [], load_module._solved
+    monkeypatch.setattr(load_module, "_solved", lambda *arguments: called.append(0) or solved(*arguments))
+    dc.simulate(CHANGES["floor lowered"](settled["fast"]), steps=1)
+    assert called
+
+
+@pytest.mark.parametrize(
+    ("speeds", "is_changed", "expected"),
+    [
+        ([0.0, 0.0, 5.0], True, {"speed": 0.02, "needed": np.inf}),
+        ([0.0, 0.0, 0.1], True, {"speed": 0.02, "needed": 0.02}),
+        ([0.0, 0.0, 0.1], False, {"speed": 1e-4, "needed": 0.02}),
+        ([0.0, 0.0, 5.0], False, None),
+        ([0.0, 5.0, 5.0], True, None),
+    ],
+)
+def test_after_a_change_it_is_enough_that_most_circles_rest(speeds, is_changed, expected, monkeypatch):
+    """Speeds at which a search ends, as multiples of g Δt = 0.0981 m/s; without a search, impulses stay."""
+    called = []
+    monkeypatch.setattr(load_module, "at_rest", lambda *_, **how: called.append(how) or ("n", "t", 0.0))
+    state = circles_at([[5.0 * k, 5.0] for k in (1, 2, 3)], velocity=[[v, 0.0] for v in speeds])
+    found = load_module._relaxed(state, 1, 2, None, is_changed=is_changed)
+    if expected is None:
+        assert (called, found) == ([], (1, 2, False))
+    else:
+        assert found == ("n", "t", True)
+        assert called == [{"iterations": 2000} | {name: pytest.approx(0.0981 * x) for name, x in expected.items()}]

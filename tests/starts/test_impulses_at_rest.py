@@ -96,8 +96,45 @@ def test_steps_that_are_too_long_are_made_shorter(settling, monkeypatch):
         rows, v = problem.rows._replace(impulse=np.zeros((len(problem.rows.body), 2))), problem.solver_bodies.copy()
         largest = share * largest_eigenvalue(rows, problem.friction, v.copy())
         monkeypatch.setattr(impulses_at_rest, "largest_eigenvalue", lambda *_, largest=largest: largest)
-        speeds.append(impulses_at_rest.relax_cones.py_func(rows, problem.friction, v, 1000, 0.0))
+        speeds.append(impulses_at_rest.relax_cones.py_func(rows, problem.friction, v, 1000, 0.0, np.inf))
     np.testing.assert_allclose(speeds[1], speeds[0], rtol=1e-3)
+
+
+def iterations_of(problem, needed, monkeypatch):
+    """(number of iterations, rms speed): of the relaxation from impulses of 0, with a cap of 2,000."""
+    calls, approach = [], impulses_at_rest.approach
+    monkeypatch.setattr(impulses_at_rest, "approach", lambda *arguments: calls.append(0) or approach(*arguments))
+    rows, v = problem.rows._replace(impulse=np.zeros((len(problem.rows.body), 2))), problem.solver_bodies.copy()
+    rms = impulses_at_rest.relax_cones.py_func(rows, problem.friction, v, 2000, 1e-6, needed)
+    monkeypatch.undo()
+    return len(calls), rms
+
+
+def test_iterations_end_where_nothing_can_rest(monkeypatch):
+    """A disc between two others on a floor without friction pushes them apart: no impulses hold it."""
+    state = circles_at([[5.0, 1.0], [7.5, 1.0], [6.25, 2.5612494995995996]], friction=0.0)
+    problem = step_problem(dc.find_contacts(state))
+    needed = 0.02 * 0.0981
+    count, rms = iterations_of(problem, needed, monkeypatch)
+    assert rms > needed
+    assert count == 25 * (impulses_at_rest.PAST + 1)
+    count, unhurried = iterations_of(problem, np.inf, monkeypatch)
+    assert count == 2000
+    assert unhurried == pytest.approx(rms, rel=0.01)
+
+
+def test_iterations_go_on_where_circles_come_to_rest(monkeypatch):
+    state = dc.find_contacts(without_past(packed_pile(40, seed=3, steps=1000)))
+    problem = step_problem(state)
+    assert iterations_of(problem, 0.02 * 0.0981, monkeypatch) == iterations_of(problem, np.inf, monkeypatch)
+
+
+@pytest.mark.parametrize(("rms", "before", "left", "is_out"), [
+    (1.0, 2.0, 100, False), (1.0, 2.0, 99, True), (1.0, 1.0, 10_000, True), (0.4, 0.4, 0, False), (0.6, 9.0, 0, True),
+])  # fmt: skip
+def test_the_rate_of_the_last_100_iterations_is_that_of_those_to_come(rms, before, left, is_out):
+    """Half of the speed in 100 iterations, and half of it is needed."""
+    assert impulses_at_rest._misses(rms, before, left, 0.5) == is_out
 
 
 @pytest.mark.parametrize("factor", [np.nan, -3.0, 1e30])

@@ -1,6 +1,7 @@
 """The geometry of segments against plain vector algebra, at random places and in all directions."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -15,8 +16,7 @@ from deep_contact.stepping.segment_grid import (
     END,
     START,
     in_grid,
-    is_free,
-    near_box,
+    is_beyond,
     nearest_part,
     segment_gap,
     segments_in_grid,
@@ -175,19 +175,22 @@ def test_centres_that_a_segment_presses_stay_before_it_and_what_is_fixed_or_fast
     assert (held > 2) == (radius > 1.0)
 
 
-def test_a_grid_says_where_no_segment_is_near():
-    """Never where one is; and where all are far, it says so."""
-    grid, free = in_grid(LINES[:2], 0.2, 4000), 0
-    for point, to in POINTS:
-        to = point + 0.2 * (to - point)
-        way = point + np.linspace(0.0, 1.0, 60)[:, None] * (to - point)
-        box = min(point[0], to[0]), max(point[0], to[0]), min(point[1], to[1]), max(point[1], to[1])
-        far = min(abs(segment_gap(line, *place)[0]) for line in LINES[:2] for place in way)
-        says = is_free(grid.start, grid.grid, *box)
-        assert not (says and far <= 0.2)
-        assert (len(near_box(grid, *box, np.empty_like(grid.every))) == 0) >= says
-        free += says
-    assert free > 10
+def test_a_point_is_called_beyond_a_limit_only_where_it_is_and_wherever_it_clearly_is():
+    """Against the distance in exact rational arithmetic, near the limit and far from it, on scales of 1e-6 to 1e9."""
+    rng, near = np.random.default_rng(0), 0
+    for size in 10.0 ** rng.uniform(-6, 9, 300):
+        line, point = size * rng.uniform(-1, 1, 4), size * rng.uniform(-2, 2, 2)
+        (x_0, y_0, x_1, y_1), (x, y) = map(Fraction, line), map(Fraction, point)
+        e_x, e_y = x_1 - x_0, y_1 - y_0
+        share = min(1, max(0, (e_x * (x - x_0) + e_y * (y - y_0)) / (e_x**2 + e_y**2)))
+        square = (x_0 + share * e_x - x) ** 2 + (y_0 + share * e_y - y) ** 2
+        distance = math.sqrt(square)
+        for limit in distance * (1.0 + np.array([-0.9, -1e-3, -1e-6, -1e-12, 0.0, 1e-15, 1e-12, 1e-6, 0.5])):
+            beyond = is_beyond(np.array([*line, 0.0]), *point, limit)
+            assert not (beyond and Fraction(limit) ** 2 >= square)
+            assert beyond or limit > (1.0 - 1e-5) * distance
+            near += beyond
+    assert near == 900
 
 
 def test_contacts_know_how_fast_the_ground_is():

@@ -45,9 +45,9 @@ def test_islands_sleep_on_their_own():
 
 
 def test_a_touch_wakes_the_whole_island():
-    # Three in a row on the floor sleep; a fourth comes rolling in and pushes them on.
+    # Three in a row on the floor sleep; a fourth comes rolling in and pushes them on. Friction turns none measurably.
     centres, velocity = [[10.0, 1.01], [12.0, 1.01], [14.0, 1.01], [3.0, 1.01]], [[0, 0]] * 3 + [[2.0, 0]]
-    scene = circles_at(centres, velocity=velocity, friction=0.0)
+    scene = circles_at(centres, velocity=velocity, friction=1e-12)
     asleep, moved = (dc.simulate(scene, steps=n, solver=RESTING, sleep=True).state.bodies for n in (200, 300))
     np.testing.assert_array_equal(asleep.position[:3], scene.bodies.position[:3])
     # Without friction and restitution all four go on with a quarter of the momentum.

@@ -5,7 +5,7 @@ set -euo pipefail
 cd "$(dirname "$0")/../.."
 folder="${DEEP_CONTACT_CORE:-${TMPDIR:-/tmp}/deep_contact_core}"
 [ -x "$folder/bin/python" ] || "${DEEP_CONTACT_PYTHON:-python3}" -m venv "$folder"
-install=("$folder/bin/python" -m pip install --quiet --disable-pip-version-check)
+install=("$folder/bin/python" -m pip install --quiet --no-compile --disable-pip-version-check)
 "${install[@]}" -r requirements-core.txt
 "${install[@]}" --no-deps --editable .
 "${install[@]}" pytest pytest-timeout

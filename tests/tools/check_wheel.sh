@@ -52,8 +52,9 @@ else
     # The folders of packages are added to an environment with the wheel alone. Their .pth files, which name the
     # checkout, are not read there.
     "${install[@]}" --no-deps --no-index "$work"/deep_contact-*.whl
-    # Machine code that the tests have made: whether it fits is told by the contents of the sources.
-    find deep_contact -name '*.nb[ic]' | tar cf - -T - | tar xf - -C "$packages"
+    # Machine code that the tests have made: whether it fits is told by the contents of the sources. Status 1 of tar:
+    # another process has written a file meanwhile.
+    find deep_contact -name '*.nb[ic]' | { tar cf - -T - || [ $? = 1 ]; } | tar xf - -C "$packages"
     "$PYTHON" -c 'import sys; print(*(path for path in sys.path if path.endswith("-packages")), sep="\n")' \
         > "$packages/outside.pth"
 fi

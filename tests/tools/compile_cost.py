@@ -4,6 +4,9 @@ Prints for each kind of scene the functions that Numba compiles, the modules tha
 modules, in LLVM's language before it optimises, and the processor time of the first call, in s. Counts do not depend on
 the machine; other work on it makes the time longer. --functions: each function of the package and of Numba, with its
 modules and lines, the largest first.
+
+--before CHECKOUT compares with an earlier commit: both take turns, `--repeats` times. --out FILE stores all numbers
+after each turn; a file of the same two commits is gone on with.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from statistics import median
 
 from numba.core import codegen, event
 
@@ -75,15 +79,16 @@ def count(call: Callable) -> tuple[Count, float]:
         codegen.CPUCodeLibrary.add_ir_module = add
 
 
-def cost(kind: str) -> dict:
-    """What a kind compiles in a process of its own with an empty cache.
+def cost(kind: str, checkout: Path = ROOT) -> dict:
+    """What a kind compiles in a process of its own with an empty cache. checkout: whose package it uses.
 
     Returns {"functions": name -> [versions, modules, lines], "seconds": processor time}.
     """
     with tempfile.TemporaryDirectory() as folder:
-        environment = os.environ | {"NUMBA_CACHE_DIR": folder, "PYTHONPATH": str(ROOT)}
+        environment = os.environ | {"NUMBA_CACHE_DIR": folder, "PYTHONPATH": str(checkout)}
         command = [sys.executable, __file__, kind, "--here"]
-        done = subprocess.run(command, env=environment, check=True, stdout=subprocess.PIPE, text=True, timeout=600)
+        options = {"env": environment, "cwd": folder, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+        done = subprocess.run(command, check=True, text=True, timeout=900, **options)
     return json.loads(done.stdout)
 
 
@@ -92,10 +97,50 @@ def sums_of(found: dict) -> list[int]:
     return [sum(column) for column in zip(*found["functions"].values())]
 
 
+def commit_of(checkout: Path) -> str:
+    """The commit of a checkout; "+changes" follows it if tracked files but data/reference differ from it."""
+    git = partial(subprocess.check_output, cwd=checkout, text=True)
+    changed = git(["git", "status", "--porcelain", "--untracked-files=no", "--", ":/", ":(top,exclude)data/reference"])
+    return git(["git", "rev-parse", "HEAD"]).strip() + ("+changes" if changed else "")
+
+
+def compare(kinds, before: Path, repeats: int, out: Path | None) -> None:
+    """Measure kinds in this checkout and in another, in turns. Stores the numbers in `out`, and prints them."""
+    from deep_contact.io.provenance import provenance
+
+    sides = {"now": ROOT, "before": before}
+    commits, record = {side: commit_of(path) for side, path in sides.items()}, {}
+    if out and out.exists():
+        record = json.loads(out.read_text(encoding="utf-8"))
+    if record.get("commits") != commits:
+        record = {"provenance": provenance(), "commits": commits, "kinds": {}}
+    for turn in range(repeats):
+        for kind in kinds:
+            row = record["kinds"].setdefault(kind, {side: {"seconds": []} for side in sides})
+            for side in list(sides)[:: 1 if turn % 2 else -1]:
+                if len(row[side]["seconds"]) <= turn:
+                    found = cost(kind, sides[side])
+                    row[side] |= dict(zip(("functions", "modules", "lines"), sums_of(found)))
+                    row[side]["seconds"].append(round(found["seconds"], 2))
+            if out:
+                out.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    print(
+        f"{'kind':16}{'functions':>10}{'lines':>10}{'s':>8}{'before: functions':>20}{'lines':>10}{'s':>8}{'ratio':>8}"
+    )
+    for kind, row in record["kinds"].items():
+        (n, lines, s), (n_before, lines_before, s_before) = (
+            (row[side]["functions"], row[side]["lines"], median(row[side]["seconds"])) for side in sides
+        )
+        print(f"{kind:16}{n:10}{lines:10,}{s:8.1f}{n_before:20}{lines_before:10,}{s_before:8.1f}{s / s_before:8.2f}")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(KINDS))
     parser.add_argument("--functions", action="store_true", help="list them")
+    parser.add_argument("--before", type=Path, help="checkout of an earlier commit")
+    parser.add_argument("--repeats", type=int, default=3, help="turns of both commits")
+    parser.add_argument("--out", type=Path, help="file for the numbers of both")
     parser.add_argument("--here", action="store_true", help="in this process, with its cache, as JSON")
     args = parser.parse_args()
     if args.here:
@@ -104,6 +149,9 @@ def main() -> None:
         counted, seconds = count(partial(eval, KINDS[args.kinds[0]], {"dc": dc}))
         functions = {name: (n, counted.modules[name], counted.lines[name]) for name, n in counted.versions.items()}
         print(json.dumps({"functions": functions, "seconds": seconds}))
+        return
+    if args.before:
+        compare(args.kinds or KINDS, args.before.resolve(), args.repeats, args.out)
         return
     print(f"{'kind':16}{'functions':>10}{'modules':>10}{'lines':>10}{'s':>8}")
     for kind in args.kinds or KINDS:

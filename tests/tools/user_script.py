@@ -38,6 +38,9 @@ for start in ("none", "builtin", None, (normal, tangent), dc.warm_start.Sph(spac
 live = dc.Simulator(state, accuracy="fast")
 live.set(gravity=(0.0, -1.62), segment_velocities=[((0.0, 0.1), (0.0, 0.1))])
 live.step(10)
+seen = dc.Simulator(state, forces=True, on_step=watch)
+seen.step(5)
+print(seen.force_on("floor") + seen.force_on("circle", [0, 1]), dc.forces(seen.solved).torque)
 added = live.add(dc.make_bodies([[5.0, 9.0]], radius=0.2))
 print(
     live.positions[added],
