@@ -815,6 +815,8 @@ GIVEN: dict[str, list[str]] = {
         *(
             "at most 85 % of the tolerances",
             "restitutions of 0.3 and 0.8",
+            "friction above 1, restitution above 0.9",
+            "radii that differ more than 1.3 times",
             "a thread works for 10 ms of simulated time, in the mean over a run of 6 s",
         ),
         *("by at most 1 % of its initial value", "Δt is 10 ms", "below 3 % of a mean radius", "steps of 0.625 ms"),
