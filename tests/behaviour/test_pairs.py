@@ -233,3 +233,22 @@ def test_contacts_of_a_pair_that_passes_from_now_on_are_dropped():
     after = dc.simulate(falls, steps=1, solver=dc.PGS(**FEW)).state.bodies
     np.testing.assert_allclose(after.velocity[1:, 1], state.bodies.velocity[1:, 1] - 0.01 * G, rtol=1e-12)
     assert abs(after.velocity[0, 1]) < 0.1 * 0.01 * G
+
+
+def test_a_live_run_takes_tables_between_steps():
+    """Gravity changes in place. Tables and rolling resistance set up the steps anew, as a new run from the state."""
+    options = {"solver": dc.PGS(**FEW)}
+    scene = dc.lattice_in_box(20, gap=0.02, seed=1, friction=MU, wall_materials=(2, 1, 0, 1))
+    live = dc.Simulator(scene, **options)
+    live.step(60)
+    inputs = live._inputs
+    live.set(gravity=(1e-6, -9.81))
+    assert live._inputs.friction is inputs.friction
+    live.step()
+    for change in ({"friction": MU[::-1, ::-1]}, {"friction": 0.4}, {"rolling_friction": 0.1}):
+        state = live.state
+        live.set(**change)
+        changed = state.replace(world=replace(state.world, **change))
+        live.step(3)
+        assert live.state.world == changed.world
+        assert_same_bits(live.state, dc.simulate(changed, steps=3, **options).state)
