@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from itertools import product
 
+import numba
 import numpy as np
 import pytest
 from conftest import assert_same_bits, circles_at
@@ -12,6 +13,9 @@ import deep_contact as dc
 from deep_contact.analysis.lcp import contact_problem, natural_residual
 from deep_contact.solvers import METHODS
 from deep_contact.studies.hard_scenes import mechanical_energy
+
+if not numba.config.DISABLE_JIT:
+    pytestmark = pytest.mark.slow  # a dozen kinds of steps to compile; test_without_compiler.py runs them interpreted
 
 MU = np.array([[0.05, 0.15, 0.4], [0.15, 0.3, 0.1], [0.4, 0.1, 0.6]])
 E = np.array([[0.0, 0.5, 0.9], [0.5, 1.0, 0.3], [0.9, 0.3, 0.7]])

@@ -7,6 +7,7 @@ after v² / (2 a) = 3 v² r / (4 ρ g).
 import math
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from conftest import assert_same_bits, circles_at
@@ -17,6 +18,9 @@ from deep_contact.solvers import METHODS
 from deep_contact.starts.names import STARTS
 from deep_contact.stepping.interface import entry_of
 from deep_contact.studies.hard_scenes import mechanical_energy
+
+if not numba.config.DISABLE_JIT:
+    pytestmark = pytest.mark.slow  # a dozen kinds of steps to compile; test_without_compiler.py runs them interpreted
 
 G = 9.81
 FEW = {"sweeps": 25, "tolerance": None}

@@ -2,7 +2,7 @@
 mutation testing rely on it."""
 
 import pytest
-from conftest import TOOLS, run_python
+from conftest import ROOT, TOOLS, run_python
 
 from deep_contact.solvers import METHODS
 
@@ -16,3 +16,22 @@ RUNS = {
 @pytest.mark.parametrize("kind", RUNS)
 def test_interpreted_functions_compute_what_the_compiled_ones_do(kind):
     run_python(TOOLS / "golden.py", *RUNS[kind], environment={"NUMBA_DISABLE_JIT": "1"})
+
+
+@pytest.mark.parametrize("name", ["test_pairs.py", "test_rolling.py"])
+def test_laws_of_materials_hold_in_interpreted_steps(name):
+    """All but those of large piles. In lanes that nothing uses, BatchedPGS divides by 0."""
+    options = (
+        "-q",
+        "-n",
+        "0",
+        "-p",
+        "no:cacheprovider",
+        "-W",
+        "ignore::RuntimeWarning",
+        "-k",
+        "not collapses and not resting",
+    )
+    run_python(
+        "-m", "pytest", *options, ROOT / "tests" / "behaviour" / name, environment={"NUMBA_DISABLE_JIT": "1"}, cwd=ROOT
+    )

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import momentum, solved_states, stacked
+from conftest import circles_at, momentum, solved_states, stacked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -123,3 +123,19 @@ def test_mean_theta_repeats_a_finished_step():
     np.testing.assert_array_equal(mean_theta([np.array([1.0]), np.array([5.0, 3.0, 1.0])], 3), [3.0, 2.0, 1.0])
     with pytest.raises(ValueError, match=r"thetas\[1\]: expected"):
         mean_theta([np.ones(1), np.empty(0)], 3)
+
+
+def test_compiled_rows_have_the_friction_and_the_rolling_resistance_of_their_pair():
+    """Two discs of unlike materials on a floor: one slides, v = v₀ − μ g t; one rolls, v = v₀ − ρ g t / (1.5 r).
+
+    The other laws are tested in test_pairs.py and test_rolling.py, without the compiler.
+    """
+    friction, rho = [[0.5, 0.5, 0.2], [0.5, 0.5, 0.8], [0.2, 0.8, 0.5]], np.zeros((3, 3))
+    rho[1, 2] = rho[2, 1] = 0.08
+    state = circles_at(
+        [[20.0, 1.0075], [120.0, 1.0075]], velocity=[[9.0, 0.0], [2.0, 0.0]], spin=[0.0, -2.0 / 0.99875],
+        material=[0, 1], friction=friction, rolling_friction=rho, wall_materials=(2, 0, 0, 0),
+        box=(0.0, 0.0, 400.0, 20.0),
+    )  # fmt: skip
+    end = dc.simulate(state, steps=100, solver=dc.PGS(sweeps=25, tolerance=None)).state.bodies.velocity[:, 0]
+    np.testing.assert_allclose(end, [9.0 - 0.2 * 9.81, 2.0 - 0.08 * 9.81 / 1.5], rtol=0.01)
