@@ -589,8 +589,7 @@ def in_one_block(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, tuple[np.nda
     """
     block = np.concatenate([array.ravel() for array in arrays])
     ends = np.cumsum([array.size for array in arrays])
-    parts = (block[end - array.size : end] for end, array in zip(ends, arrays))
-    return block, tuple(part.reshape(array.shape) for part, array in zip(parts, arrays))
+    return block, tuple([block[end - array.size : end].reshape(array.shape) for end, array in zip(ends, arrays)])
 
 
 class _Now(NamedTuple):

@@ -25,7 +25,8 @@ def check_state(state: State) -> State:
 def with_checked_arrays(state: State) -> State:
     """Return the state with validated copies of all arrays. Raises ValueError naming the field and the value."""
     bodies, contacts = check_bodies(state.bodies), state.contacts
-    expect_in_tables("bodies.material", bodies.material, state.world.materials)
+    if not state.world.is_uniform:
+        expect_in_tables("bodies.material", bodies.material, state.world.materials)
     if contacts is not None:
         contacts = check_contacts(contacts, bodies, len(state.world.segments))
     return changed(state, bodies=bodies, contacts=contacts)

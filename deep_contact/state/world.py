@@ -78,7 +78,8 @@ class World:
     @cached_property
     def is_uniform(self) -> bool:
         """Whether all pairs have one friction and one restitution, touch, and have no rolling resistance."""
-        return self.rolling_friction == 0.0 and self.materials is None
+        tables = self.friction, self.restitution, self.touches, self.rolling_friction
+        return self.rolling_friction == 0.0 and tuple not in map(type, tables)
 
     @cached_property
     def is_within_limits(self) -> bool:

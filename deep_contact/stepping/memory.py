@@ -23,7 +23,7 @@ from deep_contact.stepping.context import (
 )
 from deep_contact.stepping.interface import entry_of, make_workspace
 from deep_contact.stepping.log import DONE, WORK, StepLog, is_asked, log_impulses, work_on
-from deep_contact.stepping.pairs import is_rough
+from deep_contact.stepping.pairs import Rough
 from deep_contact.stepping.problem import StepProblem, started
 
 
@@ -126,8 +126,12 @@ class Steps:
         """
         key, before, built = step.friction is None, 0, None
         buffer = self._buffer_of(contacts, key)
-        is_one = step.substeps == self._solver.motion_parts == 1 and not is_rough(step.friction)
-        if problem is not None and self.sleep is None and is_one:
+        if (
+            problem is not None
+            and self.sleep is None
+            and step.substeps == self._solver.motion_parts == 1
+            and not isinstance(step.friction, Rough)
+        ):
             rows, solver_bodies, _, impacts = started(problem, contacts, step.friction)
             built = {"rows": rows, "solver_bodies": solver_bodies, "is_built": True}
             if step.actuation is not None:

@@ -63,10 +63,9 @@ def barred_pairs(state: State) -> PairTable | None:
 def kinds(step) -> tuple:
     """Return what the types of the properties of pairs in a `StepInput` depend on, apart from None in place of μ."""
 
-    def kind(value):
-        return tuple(map(is_table, value)) if is_rough(value) else is_table(value)
-
-    return kind(step.friction), kind(step.restitution), kind(step.touches)
+    friction = step.friction
+    of_friction = tuple(map(type, friction)) if isinstance(friction, Rough) else isinstance(friction, PairTable)
+    return of_friction, isinstance(step.restitution, PairTable), step.touches is None
 
 
 def is_rough(friction) -> bool:
@@ -76,7 +75,7 @@ def is_rough(friction) -> bool:
 
 def is_table(value) -> bool:
     """Return whether a property of pairs is a table. Of a `Rough` it is whether μ is one."""
-    return isinstance(value.friction if is_rough(value) else value, PairTable)
+    return isinstance(value.friction if isinstance(value, Rough) else value, PairTable)
 
 
 def value_of(value, a, b):

@@ -42,10 +42,10 @@ def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
     check_types(state)
     if not (has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
         state = check_limits(with_checked_arrays(state))
-    elif not state.world.is_uniform:
-        expect_in_tables("bodies.material", state.bodies.material, state.world.materials)
-    if not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
+    elif not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
         check_limits(state)
+    if not state.world.is_uniform:
+        expect_in_tables("bodies.material", state.bodies.material, state.world.materials)
     if state.contacts is None:
         state = changed(state, contacts=contacts_of(state))
         _warn_of_coincidence(state)

@@ -31,7 +31,7 @@ import numpy as np
 from numba.extending import overload
 
 from deep_contact.compiled import njit
-from deep_contact.stepping.pairs import is_rough, is_rough_type, is_table, is_table_type, value_of
+from deep_contact.stepping.pairs import PairTable, Rough, is_rough, is_rough_type, is_table, is_table_type, value_of
 from deep_contact.stepping.segments import is_moving, surface_velocity, wall_velocity
 
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
@@ -83,7 +83,7 @@ def make_rows(capacity, friction):
 
 def sizes_of(friction) -> tuple[int, int]:
     """Return the numbers of columns of `Rows.data` and `Rows.impulse` with tangents. friction: as in `StepInput`."""
-    return (11, 3) if is_rough(friction) else (7, 2) if is_table(friction) else (6, 2)
+    return (11, 3) if isinstance(friction, Rough) else (7, 2) if isinstance(friction, PairTable) else (6, 2)
 
 
 @overload(sizes_of)
