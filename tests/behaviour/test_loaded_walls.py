@@ -3,9 +3,11 @@
 import runpy
 
 import numpy as np
+import pytest
 from conftest import ROOT
 
 
+@pytest.mark.slow
 def test_segments_keep_their_pressures_and_the_packing_is_one_of_rigid_discs(tmp_path, monkeypatch, capsys):
     """Pressures within 1 % in the mean, without swings, also while the sample is sheared.
 

@@ -15,7 +15,7 @@ RUN = dc.simulate(dc.column(3), steps=4, record=2)
 def test_columns_are_what_the_arrays_hold():
     bodies, contacts = RUN.state.bodies, RUN.state.contacts
     table = bodies.table()
-    assert list(table) == ["x", "y", "v_x", "v_y", "angle", "spin", "mass", "radius"]
+    assert list(table) == ["x", "y", "v_x", "v_y", "angle", "spin", "mass", "radius", "material"]
     np.testing.assert_array_equal(np.column_stack([table["x"], table["y"]]), bodies.position)
     np.testing.assert_array_equal(np.column_stack([table["v_x"], table["v_y"]]), bodies.velocity)
     for name in ("angle", "spin", "mass", "radius"):
