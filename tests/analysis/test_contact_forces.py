@@ -74,8 +74,8 @@ def moved(kind, seed):
     return state.replace(world=replace(state.world, **world), bodies=bodies), push
 
 
-@pytest.mark.parametrize("kind", ["walls", "rebounds", "frictionless"])
-@pytest.mark.parametrize("solver", [dc.PGS, dc.BatchedPGS, dc.PSOR])
+@pytest.mark.parametrize("kind", ["walls", "rebounds", pytest.param("frictionless", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("solver", [dc.PGS, dc.BatchedPGS, pytest.param(dc.PSOR, marks=pytest.mark.slow)])
 def test_contacts_of_a_step_give_momentum_and_angular_momentum_to_rounding(kind, solver):
     """Σ of the positions, normals, λ_n and λ_t of `on_step`'s contacts, in undivided steps.
 
