@@ -83,7 +83,13 @@ def test_the_appendix_has_every_claim_element_and_erratum():
         assert all(f"| {fault['where']} | ".replace("*", "\\*") in appendix for fault in faults)
 
 
-@pytest.mark.parametrize("page", [page for page, found in PYTHON.items() if found])
+SLOW = {"docs/materials.md": [pytest.mark.slow]}
+"""Page -> marks of its Python, where most of its kinds of steps are compiled for it alone, which takes minutes."""
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=SLOW.get(page, [])) for page, found in PYTHON.items() if found]
+)
 def test_python_of_a_page_runs_in_order_in_one_namespace(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for block in blocks("xml", TEXTS[page]):
