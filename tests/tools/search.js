@@ -3,7 +3,7 @@ const fs = require("fs");
 const vm = require("vm");
 
 const FIRST = {
-  "api/make_a_scene.html": ["gravity", "friction", "density"],
+  "materials.html": ["gravity", "friction", "density"],
   "moving.html": ["moving wall", "piston", "conveyor", "kinematic"],
   "recipes.html": ["callback", "video"],
   "forces.html": ["force", "energy"],
