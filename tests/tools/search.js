@@ -3,7 +3,8 @@ const fs = require("fs");
 const vm = require("vm");
 
 const FIRST = {
-  "materials.html": ["gravity", "friction", "density"],
+  "api/make_a_scene.html": ["gravity", "density"],
+  "materials.html": ["friction"],
   "moving.html": ["moving wall", "piston", "conveyor", "kinematic"],
   "recipes.html": ["callback", "video"],
   "forces.html": ["force", "energy"],
