@@ -503,10 +503,10 @@ def _range(low: float, high: float) -> str:
 
 
 def unchecked(numbers: SceneNumbers) -> list[str]:
-    """Return sentences on the properties of a scene for which nobody checked the tolerances, or an empty list.
+    """Return sentences on the properties of a scene beyond those at which the tolerances were checked.
 
-    Scenes of fewer than `FEW` circles and fast circles are not among them. They get the settings of 100 circles, and
-    shorter steps.
+    The list is empty for scenes of fewer than `FEW` circles, which get the settings of 100 circles. Fast circles are no
+    such property, because presets shorten their steps.
     """
     if numbers.count < FEW:
         return []

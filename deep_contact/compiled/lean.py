@@ -61,9 +61,10 @@ def _get_meminfos(self, builder, ty, val):
 
 
 class _LazyLibrary(JITCodeLibrary):
-    """Code in LLVM's language. Its machine code is made when the address of one of its functions is first asked for.
+    """Code in LLVM's language. LLVM makes its machine code when Numba first asks for the address of a function in it.
 
-    Numba asks for the address of a wrapper. Without a wrapper, a function is stored and loaded in LLVM's language.
+    Numba asks for the address of the wrapper of each function. The code of a function without a wrapper gets no machine
+    code, and the cache keeps it in LLVM's language.
     """
 
     _is_loaded = False
@@ -82,7 +83,7 @@ class _LazyLibrary(JITCodeLibrary):
         self._is_loaded = True
         self._dynamic_globals.clear()  # Numba finds them again
         super()._finalize_final_module()
-        # Constants of Python that the code of other functions needs, which is linked into this code.
+        # The code of other functions is linked into this code. It may need constants of Python, such as texts to print.
         for variable in self._final_module.global_variables:
             environment = lookup_environment(variable.name)
             if environment is not None:
@@ -116,7 +117,7 @@ _numbas_set_env = JITCPUCodegen.set_env
 
 
 def _set_env(self, name, environment):
-    """Hand constants of Python to machine code, if there is some that has a variable of this name."""
+    """Write the address of a function's constants of Python into the variable `name`, if any machine code has it."""
     if self._engine.is_symbol_defined(name):
         _numbas_set_env(self, name, environment)
 

@@ -152,7 +152,8 @@ class Trajectory:
         They are time, circle, and the columns of `Bodies.table`.
         """
         count, n = self.positions.shape[:2]
-        of_circles = {name: np.tile(getattr(self[0].bodies, name), count) for name in ("mass", "radius", "material")}
+        stored = {"material": np.zeros(n, np.int64)} | self.stored.arrays  # materials are stored if any is not 0
+        of_circles = {name: np.tile(stored[name], count) for name in ("mass", "radius", "material")}
         return {
             "time": np.repeat(self.times, n), "circle": np.tile(np.arange(n), count),
             "x": self.positions[..., 0].ravel(), "y": self.positions[..., 1].ravel(),

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from conftest import circles_at
+from conftest import circles_at, load_script
 
 import deep_contact as dc
 from deep_contact.accuracy import presets
@@ -204,6 +204,12 @@ def test_a_named_preset_says_which_quantities_nobody_checked(scene, said):
     assert presets.decide(scene, None).warnings == ()
     assert dc.plan(scene, accuracy="balanced").warnings == found
     assert ("warning: " in str(dc.plan(scene, accuracy="balanced"))) == bool(said)
+
+
+def test_no_scene_of_the_check_outside_of_the_study_has_a_warning():
+    verify = load_script("run_tradeoff_verify")
+    numbers = {kind: presets.scene_numbers(verify.scene(kind, 100, 0)) for kind in verify.KINDS}
+    assert {kind: found for kind, of in numbers.items() if (found := presets.unchecked(of))} == {}
 
 
 @pytest.mark.parametrize(
