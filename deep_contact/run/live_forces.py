@@ -9,9 +9,10 @@ import numpy as np
 
 
 class LiveForces:
-    """Contact impulses on each body, and the time over which they were summed, since the body's force was last read.
+    """Sums of contact impulses on each body, and the time of each sum, since the force on the body was last read.
 
-    Each body has an interval of its own. So the force on one wall can be read more often than that on another.
+    Each body has an interval of its own, so that the force on one wall can be read more often than the force on another
+    wall.
 
     | field      | meaning                                                                  | shape      | unit |
     |------------|--------------------------------------------------------------------------|------------|------|

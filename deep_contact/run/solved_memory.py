@@ -17,11 +17,11 @@ MOST_BLOCKS = 3
 class SolvedMemory:
     """Blocks of memory for the arrays of watched steps. A block is used again once nothing refers to its arrays.
 
-    The system would take back the memory of large arrays that are released in each step, and give it out anew page by
-    page. For 3,000 circles this takes longer than to copy them.
+    Without these blocks, the operating system would take back the memory of large arrays after each step, and hand it
+    out again page by page. For 3,000 circles this takes longer than copying the arrays.
 
     Every array that NumPy makes of a block, also by slices of slices, refers to the block itself. So the number of
-    references to the block tells whether anybody still has one.
+    references to the block tells whether anything still uses an array in it.
     """
 
     def __init__(self):

@@ -2,9 +2,9 @@
 
 A pile whose gravity is switched off still has the impulses that carried its weight. A few sweeps do not remove them,
 and the rest becomes velocity. A state therefore stores the load for which its impulses were solved (`load`). After a
-small change of this load the impulses stay. After a large one the solver tests them, and where they would become
-velocity they are solved anew, with many sweeps. In a run whose load never changes, all bits of the result stay the
-same.
+small change of this load the impulses stay. After a large change the solver tests the impulses. If the test shows that
+they would become velocity, they are solved anew, with many sweeps. In a run whose load never changes, all bits of the
+result stay the same.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def with_new_load(state: StateWithContacts, solver, *, share: float = 1.0) -> St
 
 
 def _nearest_start(state: StateWithContacts, problem: StepProblem, carried) -> tuple[np.ndarray, np.ndarray]:
-    """Return the start of a search for impulses, (λ_n, λ_t), (m,) each, N·s: the one that leaves less energy of two.
+    """Return the start (λ_n, λ_t) of a search for impulses, (m,) each, N·s. Of two starts, it leaves less energy.
 
     These are the carried impulses times the factor that leaves the least energy (`best_share`), and impulses that carry
     loads down (`support.supported`). carried: (λ_n, λ_t). problem: `StepProblem` of the state.
