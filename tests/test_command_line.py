@@ -57,7 +57,10 @@ def test_help_names_the_program_as_it_was_called(program, named, monkeypatch, ca
     assert sys.argv == [program]
 
 
-@pytest.mark.parametrize("command", ["predict", "generate-data", "train", "figure all"])
+@pytest.mark.parametrize(
+    "command",
+    ["predict", *(pytest.param(name, marks=pytest.mark.slow) for name in ("generate-data", "train", "figure all"))],
+)
 def test_python_may_leave_docstrings_out(command):
     assert run_python("-OO", "-m", "deep_contact", *command.split(), "--help").stdout.startswith("usage:")
 

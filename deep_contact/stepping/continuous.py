@@ -303,8 +303,8 @@ def share_momentum(touches, time, together, paths, actuation, shifts):
         i, k, normal, slip = first[j], second[j], direction[NORMAL, j], direction[SLIP, j]
         normal[0], normal[1], rate[NORMAL, j] = approach_of(i, k, time, paths, actuation)
         slip[0], slip[1], rate[SLIP, j] = slip_apart(i, k, normal, time, paths, actuation)
-        yield_along(i, k, normal, paths, yielding[NORMAL, j])
-        yield_along(i, k, slip, paths, yielding[SLIP, j])
+        for way in range(2):
+            yield_along(i, k, direction[way, j], paths, yielding[way, j])
         for side in range(2):
             c = k if side == 1 else i
             if yielding[NORMAL, j, side, 0] > 0.0:
@@ -368,10 +368,11 @@ def yield_along(i, k, normal, paths, yielding):
     with the lower value of `Paths.held` yields as if it were free. If both values are equal, both circles do.
     """
     n, inverse = paths.since.shape[0], paths.inverse
-    mobility(i, -normal[0], -normal[1], paths, yielding[0])
     yielding[1, 0] = 0.0
-    if k < n:
-        mobility(k, normal[0], normal[1], paths, yielding[1])
+    for side in range(2):
+        c, sign = (k, 1.0) if side == 1 else (i, -1.0)
+        if c < n:
+            mobility(c, sign * normal[0], sign * normal[1], paths, yielding[side])
     if yielding[0, 0] == 0.0 and yielding[1, 0] == 0.0:
         if inverse[i] > 0.0 and (k >= n or paths.held[i] <= paths.held[k] or inverse[min(k, n - 1)] == 0.0):
             yielding[0, 0], yielding[0, 1], yielding[0, 2] = inverse[i], -normal[0], -normal[1]
