@@ -20,9 +20,14 @@ def test_interpreted_functions_compute_what_the_compiled_ones_do(kind):
 
 @pytest.mark.parametrize(
     ("name", "slowest"),
-    [("test_pairs.py", "resting or solver1 or options1"), ("test_rolling.py", "collapses or solver1")],
+    [
+        ("behaviour/test_pairs.py", "resting or solver1 or options1 or passes_through or energy[1 or energy[2"),
+        ("behaviour/test_rolling.py", "collapses or solver1 or solver2 or solver3 or energy[1"),
+        ("stepping/test_interface.py", "not from_outside"),
+    ],
 )
-def test_laws_of_materials_hold_in_interpreted_steps(name, slowest):
+def test_kinds_of_steps_that_no_other_test_compiles_work_interpreted(name, slowest):
     """Without large piles and most runs of BatchedPGS. It divides by 0 in lanes that nothing uses."""
-    options = "-q", "-n", "0", "-p", "no:cacheprovider", "-W", "ignore::RuntimeWarning", "-k", f"not ({slowest})"
-    run_python("-m", "pytest", *options, ROOT / "tests" / "behaviour" / name, environment={"NUMBA_DISABLE_JIT": "1"})
+    options = "-q", "-n", "0", "-p", "no:cacheprovider", "-W", "ignore::RuntimeWarning", "-m", ""
+    options += "-k", f"not ({slowest})"
+    run_python("-m", "pytest", *options, ROOT / "tests" / name, environment={"NUMBA_DISABLE_JIT": "1"})

@@ -17,6 +17,7 @@ def test_a_good_setting_makes_every_known_motion(number):
     assert wrong(known.end(setting, scene, seconds).bodies) < 2e-3  # first order in Δt
 
 
+@pytest.mark.slow  # a kind of step of its own
 def test_over_relaxed_sweeps_that_are_few_are_found():
     good, bad = dc.PGS(sweeps=4, tolerance=None), dc.PSOR(omega=1.3, sweeps=2, tolerance=None)
     assert study.error(setting_of(good, 0.01)) < 1.0 < study.error(setting_of(bad, 0.01))
