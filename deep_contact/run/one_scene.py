@@ -126,8 +126,8 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
         solver, accuracy, warm_start, sleep = how
         run = Simulator(state, solver=solver, accuracy=accuracy, warm_start=warm_start, sleep=sleep, push=options.push)
     is_driven, every, done = record is not None and run._inputs.actuation is not None, record or steps + 1, 0
-    n, is_shifted = state.bodies.count, record is not None and not is_driven and largest(state.world.restitution) > 0.0
-    loads_of = 4 + len(state.world.segments) if forces else 0
+    is_shifted = record is not None and not is_driven and largest(state.world.restitution) > 0.0
+    loads_of, n = 4 + len(state.world.segments) if forces else 0, state.bodies.count if record is not None else 0
     log = make_log(steps, loads_of, n if is_driven else 0, n if is_shifted else 0)
     frames, loads = [] if record is None else [run.state], [log.loads.copy()]
     on_circles, shifts, work = [log.on_circles.copy()], [log.shifts.copy()], [0.0]

@@ -125,9 +125,9 @@ def check_bodies(bodies: Bodies) -> Bodies:
     """
     if not isinstance(bodies, Bodies):  # not by `expect`: formatting its message would take longer than the checks
         raise ValueError(f"bodies: expected Bodies, as dc.make_bodies makes them, got {brief(bodies)}")
-    n = _length("bodies.mass", bodies.mass)
-    if _are_plain(bodies, n):
+    if _are_plain(bodies):
         return Bodies(*map(np.copy, bodies))
+    n = _length("bodies.mass", bodies.mass)
     # The radius is checked first: if a bad mass was computed from a bad radius, the message names the radius.
     names = sorted(Bodies._fields, key=lambda name: name != "radius")
     if bodies.material is None:
@@ -141,11 +141,12 @@ def check_bodies(bodies: Bodies) -> Bodies:
     return Bodies(**fields)
 
 
-def _are_plain(bodies: Bodies, n: int) -> bool:
+def _are_plain(bodies: Bodies) -> bool:
     """Return whether all arrays are contiguous, and have the right types, the right shapes and valid values.
 
     This one fast test accepts most bodies, which then need no further check.
     """
+    n = getattr(bodies.mass, "size", -1)
     shapes = (n, 2), (n, 2), (n,), (n,), (n,), (n,), (n,)
     for array, shape, kind in zip(bodies, shapes, (*[np.float64] * 6, np.int64)):
         if type(array) is not np.ndarray or array.dtype != kind or array.shape != shape or not array.flags.carray:

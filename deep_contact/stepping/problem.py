@@ -17,7 +17,7 @@ from deep_contact.state.arrays import Contacts
 from deep_contact.state.equality import by_value
 from deep_contact.state.materials import largest
 from deep_contact.state.scales import ContactScales
-from deep_contact.state.state import State, native
+from deep_contact.state.state import State
 from deep_contact.stepping.broad_phase import make_cells
 from deep_contact.stepping.contacts import Walls, detect_contacts, make_contacts
 from deep_contact.stepping.convergence import ConvergenceRecord, convergence_record
@@ -149,13 +149,16 @@ def started(problem: StepProblem, contacts: Contacts, friction) -> StepProblem:
 
 
 def contacts_of(state: State) -> Contacts:
-    """Return the contacts at the positions of a state, with impulses of 0."""
-    bodies, world, scales = native(state).bodies, state.world, state.scales
+    """Return the contacts at the positions of a state, with impulses of 0.
+
+    The arrays of the state have the byte order of this machine (`state.native`).
+    """
+    bodies, world, scales = state.bodies, state.world, state.scales
     segments = segments_in_grid(world, reach_of(state, scales)) if world.segments else None
     mass, n = bodies.mass if bodies.is_fixed.any() else None, bodies.count
     walls, cells = Walls(world.box, scales.wall_skin), make_cells(n)
     buffer = make_contacts(4 * n + 64)
-    touches = barred_pairs(state)
+    touches = None if world.is_uniform else barred_pairs(state)
     found = detect_contacts(bodies.position, bodies.radius, mass, walls, segments, touches, cells, buffer)
     # The first five arrays are copied, since they lie in a larger buffer. The four arrays of impulses are set to zero.
     return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
