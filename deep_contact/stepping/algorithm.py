@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from deep_contact.compiled import njit
 from deep_contact.stepping import sleeping
-from deep_contact.stepping.contacts import carry_impulses, detect_contacts, mass_if_fixed
+from deep_contact.stepping.contacts import carry_impulses, detect_contacts
 from deep_contact.stepping.context import begin_steps, follow, results_of, set_segments, walls_of
 from deep_contact.stepping.convergence import all_finite
 from deep_contact.stepping.impacts import logged_rebound
@@ -105,10 +105,9 @@ def do_substep(context, sleep, log, actuation):
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
     # The contacts of the next substep, and the circles that sleep in it.
     context.buffer = 1 - context.buffer
-    walls, mass, buffer = walls_of(substep), mass_if_fixed(bodies, actuation), memory.contacts[context.buffer]
-    passed = clamp_inside(bodies, before, walls, segments, contacts, substep.touches, actuation, substep.dt)
-    touches = substep.touches
-    following = detect_contacts(bodies.position, bodies.radius, mass, walls, segments, touches, memory.cells, buffer)
+    walls, touches, buffer = walls_of(substep), substep.touches, memory.contacts[context.buffer]
+    passed = clamp_inside(substep, before, segments, contacts, actuation)
+    following = detect_contacts(bodies, walls, segments, touches, actuation, memory.cells, buffer)
     if actuation is not None:
         following = without_passed(following, bodies, segments, actuation, log.progress)
         if passed >= 0:
