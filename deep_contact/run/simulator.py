@@ -85,8 +85,8 @@ class Simulator:
 
     The other arguments are those of `simulate`. forces: whether the contact impulses are summed, for `force_on`, and
     the last step of each call of `step` is stored, as `solved`. on_step: function that is called after each step, with
-    the arguments that `simulate` describes. It may change the scene, as its caller may between two steps. Each step
-    sets `solved` then. Without both options a step costs nothing for them.
+    the arguments that `simulate` describes. It may change the scene. With `on_step`, every step sets `solved`. Without
+    these two options they take no time in a step.
     Raises ValueError on arguments that do not fit each other.
     """
 
@@ -144,7 +144,7 @@ class Simulator:
                 on_step(*self._now.seen)
 
     def force_on(self, part: str, index: int | Sequence[int] | np.ndarray | None = None) -> np.ndarray:
-        """Return the mean contact force on a part of the scene since it was last asked for, (2,), N.
+        """Return the mean contact force on a part of the scene since this force was last read, (2,), N.
 
         It is the mean over all steps and substeps since then, rebounds included: the sum of the contact impulses over
         the time. Each body has an interval of its own, which begins with the simulator, or when the body is added.
@@ -260,8 +260,8 @@ class Simulator:
         """Set gravity, friction, restitution and the push in place, if possible. This is faster than `_change`.
 
         It is possible if the change is so small that the carried impulses stay (`load.kept_anchor`), and if the step
-        needs no other code. A preset then keeps its solver. changes: the new fields of the world. push: array of
-        forces, or a tuple with torques; None leaves the push as it is. Returns whether all was set.
+        needs no other code. The solver of a preset then stays. changes: the new fields of the world. push: array of
+        forces, or a tuple with torques; None leaves the push as it is. Returns whether the changes were made.
         """
         if not changes and push is None:
             return True
@@ -467,7 +467,10 @@ class Simulator:
         return log
 
     def _watching(self) -> _Watched:
-        """Return what only watched steps need. It is made in the first of them, and serves until the scene changes."""
+        """Return the memory and the values that only watched steps need.
+
+        They are made in the first watched step, and serve until the scene changes.
+        """
         if self._watched is None:
             is_one_solve = changed(self._scene, solved=True).holds_solution
             self._watched = _Watched(is_one_solve, tuple(map(frozen, self._scene.bodies[4:])), SolvedMemory())
@@ -499,7 +502,7 @@ class Simulator:
         if any((x_1 - x_0) ** 2 + (y_1 - y_0) ** 2 == 0.0 for x_0, y_0, x_1, y_1 in segments):
             return self._world()
         moved = changed(world, segments=segments)
-        for name in ("_digest", "is_within_limits"):  # what a world remembers of its segments
+        for name in ("_digest", "is_within_limits"):  # values that the world has computed from its segments
             vars(moved).pop(name, None)
         return moved
 
@@ -603,7 +606,7 @@ class _Watched(NamedTuple):
 
 
 class _Now(NamedTuple):
-    """Contacts, number of steps, time (s) and `State.solved` of a `Simulator` at one time, and what its last step was.
+    """Contacts, number of steps, time (s) and `State.solved` of a `Simulator`, and the solved state of its last step.
 
     A step replaces all fields in one assignment. An interrupt therefore finds all from before the step or all from
     after.

@@ -11,7 +11,7 @@ from deep_contact.state.arrays import Contacts
 from deep_contact.stepping.log import write_rows, write_step
 
 MOST_BLOCKS = 3
-"""Largest number of blocks that are kept for later steps: those of the last two steps, and one for the next step."""
+"""Largest number of blocks that stay for later steps: those of the last two steps, and one for the next step."""
 
 
 class SolvedMemory:

@@ -63,7 +63,7 @@ class BatchedPGS(SolverOptions):
     The options are those of every solver (`SolverOptions`). Position correction uses the same batches.
 
     Weakness: contacts are not swept in the order of the list, so the solver may need more sweeps than PGS. In each step
-    in which the list of contacts has changed, the batches are found anew. A few sweeps do not repay this time.
+    in which the list of contacts has changed, the batches are chosen anew, which takes longer than a few sweeps save.
     """
 
 
@@ -196,10 +196,9 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
 
 @njit(cache=True, error_model="numpy")
 def correct_positions_in_batches(plan, tiles, bodies, scales, sweeps):
-    """Correct positions over the tiles of a plan, as `position_correction.correct_positions` does. Bodies move in
-    place.
+    """Correct positions over the tiles of a plan, as `position_correction.correct_positions` does.
 
-    sweeps: largest number of sweeps.
+    Bodies move in place. sweeps: largest number of sweeps.
     """
     centre = tiles.centre[: bodies.mass.shape[0]]
     fill_centres(bodies, centre)
@@ -229,7 +228,7 @@ define(BatchWorkspace, _BatchWorkspaceType, ("plan", "tiles", "solved"))
 
 @njit(cache=True)
 def make_batch_workspace(context, contacts):
-    """A `BatchWorkspace` for steps that start from these contacts. context: `StepContext`."""
+    """Return a `BatchWorkspace` for steps that start from these contacts. context: `StepContext`."""
     n = context.step.bodies.mass.shape[0]
     friction = context.step.friction
     return BatchWorkspace(batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1, friction), contacts)
@@ -240,8 +239,8 @@ def advance_in_batches(context, contacts, workspace, log, actuation):
     """Do steps as `algorithm.advance` does, with the solver `BatchedPGS`. Bodies move in place.
 
     context: `StepContext`. contacts: `Contacts` at the start. workspace: `BatchWorkspace`, changed in place and passed
-    to the next call. log: `StepLog`, filled in place. actuation: `Actuation` of the steps, or None. Returns
-    `context.results_of` the context.
+    to the next call. log: `StepLog`, filled in place. actuation: `Actuation` of the steps, or None. Returns the result
+    of `context.results_of`.
     """
     step = context.step
     begin_steps(context, contacts, log, actuation)
@@ -359,7 +358,7 @@ def start_blocks(step, contacts, plan, tiles, rows, is_built, actuation):
 
 
 class _Run:
-    """A function in place of `algorithm.advance` for one run of `BatchedPGS`. It holds the workspace of the run."""
+    """A function in place of `algorithm.advance` for one run of `BatchedPGS`. It stores the workspace of the run."""
 
     def __init__(self, solver: BatchedPGS):
         self._workspace, self._plain, self._actuated = None, Direct(advance_in_batches), Direct(advance_in_batches)

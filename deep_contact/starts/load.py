@@ -43,7 +43,7 @@ class Anchor(NamedTuple):
 class Load(NamedTuple):
     """The load for which the impulses of a state were solved."""
 
-    digest: int  # of the world, Δt, the push, and the positions, masses and radii of the circles
+    digest: int  # digest of the world, Δt, the push, and the positions, masses and radii of the circles
     motion: int  # digest of velocities and spins, which are no part of the load
     constant: int  # digest of the load without gravity, friction, restitution and the push
     world: World

@@ -37,14 +37,15 @@ from deep_contact.stepping.substeps import divide_by_motion, fly_on
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance(context, contacts, motion, sleep, log, actuation):
-    """Do as many steps as the log has rows, or fewer if its bound on the work ends the call. Bodies move in place.
+    """Do a step for each row of the log, or fewer if the log's bound on the work ends the call. Bodies move in place.
 
     A step has as many substeps as the solver asks for. Motion may divide these further (`substeps`). Code for
     segments, restitution, division by motion, sleep and continuous collision is compiled only if the scene needs it. If
     a circle becomes fast and the code for continuous collision is missing, the call ends before that substep. The next
-    call has the code, and goes on from there.
-    Returns `context.results_of` the context: where the contacts at the end are, and `StepLog.pair_impulses`.
-    context: `StepContext`. motion: `Motion` of its step; None without optional features (`context.with_optional`).
+    call has the code, and begins with that substep.
+    Returns (number of contacts at the end, or −1, and `StepLog.pair_impulses`) by `context.results_of`.
+    context: `StepContext`. motion: `StepInput.motion` of the context's step; None if the code for optional features is
+    left out (`context.with_optional`).
     sleep: `SleepMemory`, or None if no circle may sleep. log: `StepLog`, filled in place. actuation: `Actuation` of the
     step, or None. Numba leaves out the code behind a None only if the None is an argument.
     """

@@ -65,9 +65,8 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
 def build_rows(step, contacts, solver_bodies, actuation):
     """Return the rows of a step, and write the velocities after Δt of gravity and external forces into `solver_bodies`.
 
-    The step's impacts have been applied before. step: `StepInput`. contacts: `Contacts`. solver_bodies: (N, 4), columns
-    `V_X` to `INVERSE_MASS` of `rows`. actuation: `Actuation` of the step,
-    or None.
+    The impacts of the step have to be applied before. step: `StepInput`. contacts: `Contacts`. solver_bodies: (N, 4),
+    columns `V_X` to `INVERSE_MASS` of `rows`. actuation: `Actuation` of the step, or None.
     """
     integrate_velocities(step.bodies, step.gravity, step.dt, solver_bodies, actuation)
     buffer, radius = more_rows(contacts.body_a.shape[0], step.friction), step.bodies.radius

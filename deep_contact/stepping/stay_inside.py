@@ -32,9 +32,9 @@ def any_outside(position, box):
 def clamp_to_box(bodies, walls, solved):
     """Move centres that have left the box in this substep back inside, in place, to half a radius from the wall.
 
-    A centre leaves the box only if it is pressed harder than the sweeps and position correction can withstand. solved:
-    contacts at the start of the substep. A centre that was outside of a wall already then is not moved: its contact
-    with the wall brings it back.
+    A centre leaves the box only if it is pressed harder than the sweeps and position correction can withstand. A centre
+    that was outside of a wall at the start of the substep is not moved: its contact with the wall brings it back.
+    solved: contacts at the start of the substep.
     """
     n = bodies.mass.shape[0]
     was_outside = np.zeros((n, 4), np.bool_)
