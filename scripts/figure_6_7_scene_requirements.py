@@ -234,7 +234,7 @@ def table(data):
 
 
 def draw(data, options):
-    """Draw two panels. Left: the ratio of times for each saving, with quartiles. Right: how far it moves circles."""
+    """Draw two panels. Left: the ratio of times for each saving, with quartiles. Right: how far each moves circles."""
     rows = named_savings(data)
     figure, (left, right) = plotting.subplots(
         1, 2, size=(plotting.PAGE, 0.3 * len(rows) + 1.2), sharey=True, width_ratios=(1.6, 1)

@@ -52,7 +52,7 @@ def check_types(state) -> State:
 def check_solution(state: State) -> None:
     """Raise ValueError if the contacts of a state do not hold the solution of one contact problem.
 
-    `State.holds_solution` has the condition.
+    The condition is that of `State.holds_solution`.
     """
     if state.contacts is None or not state.holds_solution:
         raise ValueError(f"state.solved: expected a state of one solve, without substeps and rebounds, got {state!r}")

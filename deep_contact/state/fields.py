@@ -252,7 +252,7 @@ def checked_indices(name: str, which, count: int) -> np.ndarray:
 
 
 def checked_part(part: str, index, circles: int, segments: int) -> tuple[bool, np.ndarray]:
-    """Return (whether the part consists of circles, indices of its bodies) of a part whose force is asked for.
+    """Return (whether a part of the scene consists of circles, indices of the bodies of this part).
 
     Circles have the indices of the circles. The four sides are 0 to 3, in the order of `SIDES`, and segment s is 4 + s,
     as the rows of `StepLog.loads`. part: one of `SIDES`, "wall", "segment" or "circle". index: one index, several
@@ -270,8 +270,8 @@ def checked_part(part: str, index, circles: int, segments: int) -> tuple[bool, n
 def checked_fixed(bodies: Bodies, velocities, spins) -> tuple[np.ndarray, np.ndarray]:
     """Return velocities, (k, 2), m/s, and spins, (k,), rad/s, of the k fixed circles.
 
-    velocities: one pair for all fixed circles, a pair for each, or None for those that they have. spins: one number or
-    k numbers, or None. Raises ValueError naming what was expected and the value.
+    velocities: one pair for all fixed circles, or a pair for each; None takes their present velocities. spins: one
+    number or k numbers; None takes their present spins. Raises ValueError naming what was expected and the value.
     """
     fixed, found = bodies.is_fixed, []
     k = int(fixed.sum())
