@@ -399,7 +399,7 @@ class Simulator:
             self._steps = Steps(solver, n, sleep=sleep, carry=not isinstance(start, NoStart))
             # The memory is allocated before the arrays of results, which then lie above it on the heap. Its release
             # thus leaves no free space at the top of the heap, which Linux would take back.
-            self._steps.memory(inputs, contacts.count)
+            self._steps.memory(inputs, contacts)
         else:
             self._steps.wake()
         self._kind, self._start, self._scene, self._scales, self._inputs = kind, start, scene, scales, inputs

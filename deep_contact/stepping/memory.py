@@ -44,7 +44,7 @@ class Steps:
         self._is_plain = not (sleep or entry.advance)  # whether optional features are left out; once False, it stays so
         self._options = StepOptions(entry.settings(solver), solver.position_sweeps, carry)
         self._solver, self._memory, self._direct = solver, {}, {}
-        self._asked = self._rare = None  # the last input of steps, and its `with_optional`
+        self._plain_input = self._full_input = None  # the last input of steps, and its `with_optional`
         # Buffer -> the last input of steps, and its context. (Buffer, `_is_plain`) -> the argument `step` of the last
         # call that began in this buffer, the input that was made of it, the context and the compiled function.
         self._contexts: dict = {}
@@ -70,14 +70,14 @@ class Steps:
         self._options = self._options._replace(settings=entry_of(solver).settings(solver))
         return True
 
-    def memory(self, step: StepInput, contacts: int = 0) -> StepMemory:
+    def memory(self, step: StepInput, contacts: Contacts | None = None) -> StepMemory:
         """Return the memory of steps with this input. It differs for rows with and without tangents.
 
-        contacts: number of contacts.
+        contacts: `Contacts` from which the steps start; None stands for no contacts.
         """
         return self._memories(step, contacts)[-1]
 
-    def _memories(self, step: StepInput, contacts: int) -> list[StepMemory]:
+    def _memories(self, step: StepInput, contacts: Contacts | None) -> list[StepMemory]:
         """Return four memories, one for each place of the contacts before the steps.
 
         Memory i < 3 does not overwrite contacts in buffer i. The last memory is for contacts in no buffer. The memories
@@ -85,8 +85,8 @@ class Steps:
         """
         key = step.friction is None
         if key not in self._memory:
-            n, m = step.bodies.count, contacts
-            capacity, friction = max(4 * n, m + m // 2) + 64, step.friction
+            n, m, friction = step.bodies.count, 0 if contacts is None else contacts.count, step.friction
+            capacity = max(4 * n, m + m // 2) + 64
             memory = make_memory(n, capacity, self._solver.sweeps, friction)
             workspace = make_workspace(self._options.settings, memory.rows, memory.solver_bodies)
             memory = memory._replace(workspace=workspace)
@@ -181,7 +181,7 @@ class Steps:
         """
         before, context = self._contexts.get(buffer, (None, None))
         if built is not None or before is not step:
-            memory = self._memories(step, contacts.count)[buffer]
+            memory = self._memories(step, contacts)[buffer]
             memory = memory._replace(**built) if built else memory
             context = make(step, self._options, memory, contacts, log)
             if built is None:
@@ -189,9 +189,9 @@ class Steps:
         return context
 
     def _with_optional(self, step: StepInput) -> StepInput:
-        if step is not self._asked:
-            self._asked, self._rare = step, with_optional(step)
-        return self._rare
+        if step is not self._plain_input:
+            self._plain_input, self._full_input = step, with_optional(step)
+        return self._full_input
 
 
 _BUFFERS = (1, 2), (0, 2), (0, 1), (0, 1)
