@@ -56,7 +56,7 @@ def apart(one: State, other: State) -> float:
 
 
 def ratio(general: np.ndarray, special: np.ndarray) -> dict[str, float]:
-    """Compare the times of a general and a special way of doing the same, (repeats,), s.
+    """Compare the times of one task without a saving (`general`) and with it (`special`), (repeats,) each, s.
 
     Returns {"ratio": median of general over special, "low", "high": its quartiles, "general", "special": least times}.
     """

@@ -619,6 +619,17 @@ class _Now(NamedTuple):
     seen: tuple = ()  # arguments of `on_step` for the last step; empty if it was not watched
 
 
+def begun(state: State, options: RunOptions) -> Simulator:
+    """Return the `Simulator` of a run of `simulate` with these options, before its first step.
+
+    Unlike the class, it takes options that are collected already. Its steps are watched only if a call says so.
+    """
+    simulator = Simulator.__new__(Simulator)
+    simulator._options, simulator._steps = options._replace(forces=False, on_step=None), None
+    simulator._go_on(*_prepared(state, simulator._options))
+    return simulator
+
+
 def _restored(state, start: WarmStart, options: RunOptions, forces: LiveForces | None, seen: tuple) -> Simulator:
     """Return a `Simulator` that continues from the state and the sums of forces of a pickled simulator."""
     simulator = Simulator.__new__(Simulator)

@@ -201,9 +201,10 @@ def _relaxed(
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return (λ_n, λ_t, rests): impulses of the convex relaxation, and whether the circles rest at them.
 
-    If the circles move too fast to rest after the step, the impulses are returned unchanged. is_changed: whether the
-    load has changed. It is then enough that most circles hardly move. If others are fast, the rms speed of all circles
-    does not show whether most rest, and no iteration is saved. The other arguments are those of `_good`.
+    There is no relaxation, and the impulses are returned unchanged, if the rms speed of the circles exceeds the speed
+    that gravity adds in a step. After a change of the load (`is_changed`), there is a relaxation also if the median
+    speed is below this limit. If then a few circles are fast, the iterations do not end early, because the rms speed
+    does not show whether most circles rest. The other arguments are those of `_good`.
     """
     velocity, gained, speed = state.bodies.velocity, state.dt * math.hypot(*state.world.gravity), math.inf
     is_slow, rests = np.mean(velocity**2) < gained**2, RESTS * gained

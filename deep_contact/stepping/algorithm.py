@@ -43,11 +43,12 @@ def advance(context, contacts, motion, sleep, log, actuation):
     segments, restitution, division by motion, sleep and continuous collision is compiled only if the scene needs it. If
     a circle becomes fast and the code for continuous collision is missing, the call ends before that substep. The next
     call has the code, and begins with that substep.
-    Returns (number of contacts at the end, or −1, and `StepLog.pair_impulses`) by `context.results_of`.
+    Returns the result of `context.results_of`: the number of contacts at the end, or −1, and `StepLog.pair_impulses`.
+
     context: `StepContext`. motion: `StepInput.motion` of the context's step; None if the code for optional features is
-    left out (`context.with_optional`).
-    sleep: `SleepMemory`, or None if no circle may sleep. log: `StepLog`, filled in place. actuation: `Actuation` of the
-    step, or None. Numba leaves out the code behind a None only if the None is an argument.
+    left out (`context.with_optional`). sleep: `SleepMemory`, or None if no circle may sleep. log: `StepLog`, filled in
+    place. actuation: `Actuation` of the step, or None. Numba leaves out the code behind a None only if the None is an
+    argument.
     """
     step = context.step
     begin_steps(context, contacts, log, actuation)
