@@ -399,7 +399,7 @@ class Simulator:
             self._steps = Steps(solver, n, sleep=sleep, carry=not isinstance(start, NoStart))
             # The memory is allocated before the arrays of results, which then lie above it on the heap. Its release
             # thus leaves no free space at the top of the heap, which Linux would take back.
-            self._steps.memory(inputs, contacts)
+            self._steps.memories(inputs, contacts)
         else:
             self._steps.wake()
         self._kind, self._start, self._scene, self._scales, self._inputs = kind, start, scene, scales, inputs
@@ -480,18 +480,18 @@ class Simulator:
         """Return the present state. taken: function that copies or views each array of the bodies for the caller."""
         contacts, step, time, solved, _ = self._now
         bodies, contacts = Bodies(*map(taken, self._scene.bodies)), Contacts(*map(np.ndarray.copy, contacts))
-        push = None if callable(self._options.push) else self._scene.push
-        fields = {"world": self._world(), "bodies": bodies, "contacts": contacts, "push": push, "solved": solved}
+        push, world = None if callable(self._options.push) else self._scene.push, self._scene.world
+        world = self._moved_world() if world.segment_velocities else world
+        fields = {"world": world, "bodies": bodies, "contacts": contacts, "push": push, "solved": solved}
         state = changed(self._scene, **fields, step=step, time=time)
         return changed(state, load=load_of(state, self._anchor))
 
-    def _world(self) -> World:
-        """Return the world with its segments at their present positions."""
-        world = self._scene.world
-        return replace(world, segments=self._inputs.segments.line[:, :4]) if world.segment_velocities else world
+    def _moved_world(self) -> World:
+        """Return the world with its moving segments at their present positions."""
+        return replace(self._scene.world, segments=self._inputs.segments.line[:, :4])
 
     def _world_in_step(self) -> World:
-        """Return `_world` without validation, which would take longer than a step of a hundred circles.
+        """Return the present world without validation, which would take longer than a step of a hundred circles.
 
         Segments that no world may have, of length 0, are left to the validation.
         """
@@ -500,7 +500,7 @@ class Simulator:
             return world
         segments = tuple(map(tuple, self._inputs.segments.line[:, :4].tolist()))
         if any((x_1 - x_0) ** 2 + (y_1 - y_0) ** 2 == 0.0 for x_0, y_0, x_1, y_1 in segments):
-            return self._world()
+            return self._moved_world()
         moved = changed(world, segments=segments)
         for name in ("_digest", "is_within_limits"):  # values that the world has computed from its segments
             vars(moved).pop(name, None)

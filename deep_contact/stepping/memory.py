@@ -75,10 +75,10 @@ class Steps:
 
         contacts: `Contacts` from which the steps start; None stands for no contacts.
         """
-        return self._memories(step, contacts)[-1]
+        return self.memories(step, contacts)[-1]
 
-    def _memories(self, step: StepInput, contacts: Contacts | None) -> list[StepMemory]:
-        """Return four memories, one for each place of the contacts before the steps.
+    def memories(self, step: StepInput, contacts: Contacts | None) -> list[StepMemory]:
+        """Return four memories, one for each place of the contacts before the steps. The first call allocates them.
 
         Memory i < 3 does not overwrite contacts in buffer i. The last memory is for contacts in no buffer. The memories
         share everything but the two buffers that each of them fills (`_BUFFERS`).
@@ -181,7 +181,7 @@ class Steps:
         """
         before, context = self._contexts.get(buffer, (None, None))
         if built is not None or before is not step:
-            memory = self._memories(step, contacts)[buffer]
+            memory = self.memories(step, contacts)[buffer]
             memory = memory._replace(**built) if built else memory
             context = make(step, self._options, memory, contacts, log)
             if built is None:
