@@ -313,7 +313,7 @@ def parts_for(numbers: SceneNumbers, dt: float) -> int:
 def keeping(candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True) -> list[dict]:
     """Return the candidates whose "errors" are within the tolerances.
 
-    margin: whether candidates whose errors are within `MARGIN` times the tolerances are returned alone, if there are
+    margin: whether to return only the candidates whose errors are within `MARGIN` times the tolerances, if there are
     any.
     """
     shares = (MARGIN, 1.0) if margin else (1.0,)

@@ -36,8 +36,8 @@ class Store:
 
     The first access to a state reads and checks its whole simulation. The simulations that were used last stay in
     memory, decompressed.
-    folder: path of the folder. cache_bytes: limit of this memory; one simulation is kept even if it is larger. Raises
-    DataFileError if the folder has no simulation.
+    folder: path of the folder. cache_bytes: limit of this memory; the last simulation stays even if it is larger.
+    Raises DataFileError if the folder has no simulation.
     """
 
     def __init__(self, folder, *, cache_bytes: int = 8 * 2**30):
@@ -112,8 +112,7 @@ def start_errors(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return the relative error ‖λ₀ − λ‖ / ‖λ‖ of the start of each state, (T,).
 
     λ are the solved impulses of a state, and λ₀ the impulses from which its solution began. The error is 0 if both are
-    zero, and infinite if only λ is zero. arrays: the arrays of a
-    `StoredSimulation`.
+    zero, and infinite if only λ is zero. arrays: the arrays of a `StoredSimulation`.
     """
     off = (arrays["normal_start"] - arrays["normal_impulse"]) ** 2
     off += (arrays["tangent_start"] - arrays["tangent_impulse"]) ** 2

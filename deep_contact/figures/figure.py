@@ -316,7 +316,10 @@ def common_arguments(seed: int | str) -> argparse.ArgumentParser:
 
 
 def meaning(id: str, name: str) -> str:
-    """Return the meaning and the unit of a setting, "" if they are unknown. id: the figure's. name: the setting's."""
+    """Return the meaning and the unit of a setting, or "" if they are unknown.
+
+    id: id of the figure. name: name of the setting.
+    """
     return MEANINGS.get(f"{id} {name}", MEANINGS.get(name, ""))
 
 

@@ -78,19 +78,23 @@ class Trade:
     def choose(self, accuracy: str | None = None, **tolerances: float):
         """Return the solver of the cheapest setting whose errors are within the tolerances.
 
-        accuracy: the preset that has the tolerances, by default "fast". tolerances: tolerance of each error by name, in
-        place of a preset.
+        accuracy: the preset that has the tolerances, by default "fast". tolerances: name of an error = its tolerance,
+        in place of a preset. Tolerances of quantities are relative: discharge=0.02 means 2 %.
 
-        Tolerances of quantities are relative: discharge=0.02 means 2 %. The first choice is a setting whose errors are
-        within the tolerances even at the upper ends of their intervals. The second choice is a setting whose errors are
-        within 85 % of the tolerances, the third a setting whose errors are just within them. If there is none, the
-        nearest setting is returned, with a warning. Another warning says if more seeds are needed. Raises ValueError on
-        a name that is no error of this scene, on a preset together with tolerances, and if no setting was measured.
+        The cheapest setting is taken from the first of these groups that is not empty:
+
+        1. settings with the upper end of every error's interval within its tolerance;
+        2. settings with every error within 85 % of its tolerance;
+        3. settings with every error within its tolerance.
+
+        If all groups are empty, the setting with the smallest ratio of an error to its tolerance is returned, with a
+        warning. Another warning is given if more seeds are needed for a tolerance. Raises ValueError on a name that is
+        no error of this scene, on a preset together with tolerances, and if no setting was measured.
         """
         return solver_of(self.chosen(accuracy, **tolerances)["setting"])
 
     def chosen(self, accuracy: str | None = None, **tolerances: float) -> dict:
-        """Return the row of the setting that `choose` takes."""
+        """Return the row of the setting whose solver `choose` returns."""
         mine = [row for row in self.rows if row["us"] and row["group"] not in peers.ENGINES]
         expect(mine, "trade: expected a setting that was measured, got none; see its notes")
         expect(not (accuracy and tolerances), "choose: expected a preset or tolerances, got both")
@@ -282,5 +286,5 @@ def _percent(name: str) -> float:
 
 
 def _text(name: str, error: float) -> str:
-    """Return an error as text, such as "1.2 %". The error "contacts" is in contacts per circle, and has no %."""
+    """Return an error as text, such as "1.2 %". The text of the error "contacts" is a number of contacts per circle."""
     return f"{error * _percent(name):.2g}{'' if name == 'contacts' else ' %'}"

@@ -25,7 +25,7 @@ about 2 MB."""
 
 
 def _array(*names: str) -> property:
-    """Return a property: the stored array of this name, or, for several names, one array with a column for each."""
+    """Return a property whose value is the stored array of this name, or an array with a column for each name."""
 
     def get(self: Trajectory) -> np.ndarray:
         arrays = [self.stored.arrays[name] for name in names]

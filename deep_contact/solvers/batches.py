@@ -130,9 +130,9 @@ def roll_tile(friction, rolling, t, spins, inverse_masses, old_n, theta):
 
 
 def write_tile_friction(friction, tiles, t, j, bodies, radius) -> None:
-    """Write what lane j of tile t needs of a table of μ and of rolling resistance, in place. λ_r becomes 0.
+    """Write the friction of lane j of tile t, in place: μ if it is a table, and the rows of rolling resistance, if any.
 
-    friction: as in `StepInput`. bodies: indices (a, b) as in `Contacts`. radius: (n,), m.
+    λ_r becomes 0. friction: as in `StepInput`. bodies: indices (a, b) as in `Contacts`. radius: (n,), m.
     """
     if is_table(friction):
         tiles.friction[t, j] = value_of(friction, *bodies)
@@ -142,7 +142,7 @@ def write_tile_friction(friction, tiles, t, j, bodies, radius) -> None:
 
 @njit(cache=True, error_model="numpy")
 def write_tile_rolling(rolling, tiles, t, j, bodies, radius):
-    """Write the rows of `Tiles.rolling` of one contact, in place. Arguments as in `write_tile_friction`."""
+    """Write the rows of `Tiles.rolling` of one contact, in place. The arguments are those of `write_tile_friction`."""
     (a, b), n, w_b, turn_b = bodies, radius.shape[0], 0.0, 0.0
     w_a, turn_a = tiles.solver_bodies[a, INVERSE_MASS], 1.0 / radius[a]
     if b < n:

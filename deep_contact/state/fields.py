@@ -125,9 +125,9 @@ def check_bodies(bodies: Bodies) -> Bodies:
     """
     if not isinstance(bodies, Bodies):  # not by `expect`: formatting its message would take longer than the checks
         raise ValueError(f"bodies: expected Bodies, as dc.make_bodies makes them, got {brief(bodies)}")
-    n = _length("bodies.mass", bodies.mass)
-    if _are_plain(bodies, n):
+    if _are_plain(bodies):
         return Bodies(*map(np.copy, bodies))
+    n = _length("bodies.mass", bodies.mass)
     # The radius is checked first: if a bad mass was computed from a bad radius, the message names the radius.
     names = sorted(Bodies._fields, key=lambda name: name != "radius")
     if bodies.material is None:
@@ -141,11 +141,12 @@ def check_bodies(bodies: Bodies) -> Bodies:
     return Bodies(**fields)
 
 
-def _are_plain(bodies: Bodies, n: int) -> bool:
+def _are_plain(bodies: Bodies) -> bool:
     """Return whether all arrays are contiguous, and have the right types, the right shapes and valid values.
 
     This one fast test accepts most bodies, which then need no further check.
     """
+    n = getattr(bodies.mass, "size", -1)
     shapes = (n, 2), (n, 2), (n,), (n,), (n,), (n,), (n,)
     for array, shape, kind in zip(bodies, shapes, (*[np.float64] * 6, np.int64)):
         if type(array) is not np.ndarray or array.dtype != kind or array.shape != shape or not array.flags.carray:
@@ -251,7 +252,7 @@ def checked_indices(name: str, which, count: int) -> np.ndarray:
 
 
 def checked_part(part: str, index, circles: int, segments: int) -> tuple[bool, np.ndarray]:
-    """Return (whether the part consists of circles, indices of its bodies) of a part whose force is asked for.
+    """Return (whether a part of the scene consists of circles, indices of the bodies of this part).
 
     Circles have the indices of the circles. The four sides are 0 to 3, in the order of `SIDES`, and segment s is 4 + s,
     as the rows of `StepLog.loads`. part: one of `SIDES`, "wall", "segment" or "circle". index: one index, several
@@ -269,8 +270,8 @@ def checked_part(part: str, index, circles: int, segments: int) -> tuple[bool, n
 def checked_fixed(bodies: Bodies, velocities, spins) -> tuple[np.ndarray, np.ndarray]:
     """Return velocities, (k, 2), m/s, and spins, (k,), rad/s, of the k fixed circles.
 
-    velocities: one pair for all fixed circles, a pair for each, or None for those that they have. spins: one number or
-    k numbers, or None. Raises ValueError naming what was expected and the value.
+    velocities: one pair for all fixed circles, or a pair for each; None takes their present velocities. spins: one
+    number or k numbers; None takes their present spins. Raises ValueError naming what was expected and the value.
     """
     fixed, found = bodies.is_fixed, []
     k = int(fixed.sum())

@@ -124,22 +124,23 @@ def write_walls(x, y, reach, box, n, body_b, m):
 
 
 @njit(cache=True, error_model="numpy")
-def detect_contacts(position, radius, mass, walls, segments, touches, cells, buffer):
-    """Find all contacts at these positions, sorted by (body_a, body_b), with their geometry.
+def detect_contacts(bodies, walls, segments, touches, actuation, cells, buffer):
+    """Find all contacts at the positions of the circles, sorted by (body_a, body_b), with their geometry.
 
-    Their impulses and starting impulses are not initialised. position: (n, 2), m. radius: (n,), m. mass: (n,), kg, or
-    None if no circle is fixed. walls: `Walls`. segments: `Segments`, or None. touches: `StepInput.touches`. cells,
-    buffer: work arrays. Returns views of the buffer, or of a larger one.
+    Their impulses and starting impulses are not initialised. walls: `Walls`. segments: `Segments`, or None. touches:
+    `StepInput.touches`. actuation: `Actuation`, or None if no circle is fixed. cells, buffer: work arrays. Returns
+    views of the buffer, or of a larger one.
     """
-    refresh_list(position, radius, cells, 0.0)
-    contacts = find_pairs(position, radius, mass, walls, segments, touches, cells, buffer)
-    write_geometry(position, radius, walls, segments, contacts, 0)
+    refresh_list(bodies.position, bodies.radius, cells, 0.0)
+    contacts = find_pairs(bodies, walls, segments, touches, actuation, cells, buffer)
+    write_geometry(bodies.position, bodies.radius, walls, segments, contacts, 0)
     return contacts
 
 
 @njit(inline="always")
-def find_pairs(position, radius, mass, walls, segments, touches, cells, buffer):
+def find_pairs(bodies, walls, segments, touches, actuation, cells, buffer):
     """Find the pairs of `detect_contacts`, without their geometry. `cells` are those after `refresh_list`."""
+    position, radius = bodies.position, bodies.radius
     while True:
         m = write_pairs(position, radius, walls, cells, buffer.body_a, buffer.body_b)
         if segments is not None:
@@ -149,7 +150,7 @@ def find_pairs(position, radius, mass, walls, segments, touches, cells, buffer):
             break
         # The buffer is too short. Only a heap of overlapping circles has so many pairs.
         buffer = more_contacts(2 * buffer.body_a.shape[0] + 64)
-    m = without_fixed(buffer.body_a, buffer.body_b, mass, m)
+    m = without_fixed(buffer.body_a, buffer.body_b, mass_if_fixed(bodies, actuation), m)
     return some_contacts(buffer, 0, without_barred(buffer.body_a, buffer.body_b, touches, radius.shape[0], m))
 
 

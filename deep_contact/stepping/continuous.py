@@ -362,10 +362,10 @@ def hold(i, normal, sign, by, paths):
 
 @njit(inline="always")
 def yield_along(i, k, normal, paths, yielding):
-    """Write how circle i yields to a push along −normal, and body k to a push along +normal, into `yielding`, (2, 3).
+    """Write the `mobility` of circle i along −normal and of body k along +normal into the rows of `yielding`, (2, 3).
 
-    The two rows are results of `mobility`, and a body that is no circle has w = 0. If neither body can move, the circle
-    with the lower value of `Paths.held` yields as if it were free. If both values are equal, both circles do.
+    A wall or a segment has w = 0. If neither body can move, the circle with the lower value of `Paths.held` gets the
+    mobility of a free circle. If both values are equal, both circles get it.
     """
     n, inverse = paths.since.shape[0], paths.inverse
     yielding[1, 0] = 0.0
@@ -418,8 +418,8 @@ def hold_of(k, paths, actuation):
 def keep_energy(way, j, impulse, together, paths, actuation, shifts):
     """Correct a velocity after the j-th touch so that energy is conserved, in place.
 
-    The corrected velocity is that of the heavier circle, of those that the touch can move, along one direction. The
-    velocities contain the effect of gravity and external forces in a whole step. A touch changes how far the circles
+    Of the circles that the touch can move, the heavier one gets another velocity along one direction. The velocities
+    contain the effect of gravity and external forces in a whole step. A touch changes how far the circles
     move along these forces, and so their potential energy. Without the correction the total energy would change.
     Velocities are those of half a step before the positions.
 

@@ -86,10 +86,11 @@ def actuation_of(state: State) -> Actuation | None:
 
     Returns None if there are no moving segments, no fixed circles and no external forces.
     """
-    (force, torque), world, n = state.push or (None, None), state.world, state.bodies.count
+    (force, torque), world = state.push or (None, None), state.world
     if force is None and not world.segment_velocities and not state.bodies.is_fixed.any():
         return None
     if force is None:
+        n = state.bodies.count
         force, torque = np.zeros((n, 2)), np.zeros(n)
     wall = np.array(world.segment_velocities or np.zeros((len(world.segments), 4))).reshape(-1, 4)
     return Actuation(wall, np.flatnonzero(wall.any(axis=1)), force, torque)

@@ -175,7 +175,7 @@ def log_impulses(log, pair_impulses, contacts, impulse, n):
                 log.on_circles[b, axis] += impulse[i, axis]
     if m == 0 or log.progress[WATCHED] == 0:
         return pair_impulses
-    # Contacts mostly have the pairs of the rows.
+    # In most cases the contacts have the same pairs as the rows.
     added = add_to_rows(pair_impulses, contacts, impulse, 0)
     if added < m:
         pair_impulses = with_pairs(pair_impulses, contacts)

@@ -103,10 +103,10 @@ def friction_of(friction, data, i):
 
 
 def write_friction(friction, rows, i, bodies, inverse_masses, radius) -> None:
-    """Write into row i, in place, what it needs of a table of μ and of rolling resistance. λ_r becomes 0.
+    """Write the columns of friction into row i, in place: μ if it is a table, ρ and its masses if there is rolling.
 
-    friction: as in `StepInput`. bodies: indices (a, b) as in `Contacts`. inverse_masses: of both, 1/kg. radius: (n,),
-    m.
+    λ_r becomes 0. friction: as in `StepInput`. bodies: indices (a, b) as in `Contacts`. inverse_masses: inverse masses
+    of both bodies, 1/kg. radius: (n,), m.
     """
     if is_table(friction):
         rows.data[i, FRICTION] = value_of(friction, *bodies)
@@ -142,7 +142,7 @@ def start_rolling(friction, rows, v) -> None:
 
 @njit(cache=True, error_model="numpy")
 def write_rolling(rolling, rows, i, bodies, inverse_masses, radius):
-    """Write the columns of rolling resistance into row i, in place. Arguments as in `write_friction`."""
+    """Write the columns of rolling resistance into row i, in place. The arguments are those of `write_friction`."""
     (a, b), (w_a, w_b), data = bodies, inverse_masses, rows.data
     turn_a, turn_b = 1.0 / radius[a], 1.0 / radius[b] if b < radius.shape[0] else 0.0
     data[i, ROLLING], data[i, TURN_A], data[i, TURN_B] = value_of(rolling, a, b), turn_a, turn_b

@@ -12,6 +12,7 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.state.arrays import WALL_NORMALS
 from deep_contact.stepping.contacts import wall_gap
+from deep_contact.stepping.context import walls_of
 from deep_contact.stepping.segments import clamp_beside, clamp_beside_moving, may_cross
 
 
@@ -31,9 +32,9 @@ def any_outside(position, box):
 def clamp_to_box(bodies, walls, solved):
     """Move centres that have left the box in this substep back inside, in place, to half a radius from the wall.
 
-    A centre leaves the box only if it is pressed harder than the sweeps and position correction can withstand. solved:
-    contacts at the start of the substep. A centre that was outside of a wall already then is not moved: its contact
-    with the wall brings it back.
+    A centre leaves the box only if it is pressed harder than the sweeps and position correction can withstand. A centre
+    that was outside of a wall at the start of the substep is not moved: its contact with the wall brings it back.
+    solved: contacts at the start of the substep.
     """
     n = bodies.mass.shape[0]
     was_outside = np.zeros((n, 4), np.bool_)
@@ -51,14 +52,14 @@ def clamp_to_box(bodies, walls, solved):
 
 
 @njit(cache=True)
-def clamp_inside(bodies, before, walls, segments, solved, touches, actuation, dt):
+def clamp_inside(substep, before, segments, solved, actuation):
     """Clamp centres to the inside of the box and to their side of segments, in place (`clamp_to_box`, `clamp_beside`).
 
-    before: positions at the start of the substep, (n, 2), m, from `positions_before`; read only if there are segments.
-    solved: contacts at those positions. touches: `StepInput.touches`. actuation: `Actuation` of the substep, or None.
-    dt: Δt of the substep, s. Returns the index of a circle over which a moving segment passes, or −1.
+    substep: `StepInput` of the substep. before: positions at its start, (n, 2), m, from `positions_before`; read only
+    if there are segments. segments: `Segments` at its end. solved: contacts at the positions before. actuation:
+    `Actuation` of the substep, or None. Returns the index of a circle over which a moving segment passes, or −1.
     """
-    passed = np.int64(-1)
+    bodies, walls, touches, passed = substep.bodies, walls_of(substep), substep.touches, np.int64(-1)
     if any_outside(bodies.position, walls.box):
         clamp_to_box(bodies, walls, solved)
     if segments is not None:
@@ -67,7 +68,7 @@ def clamp_inside(bodies, before, walls, segments, solved, touches, actuation, dt
     if actuation is not None:
         # Bodies at rest are treated last, so that they have priority over moving ones. `clamp_beside` moves a centre to
         # a point between two points in the box, which lies in the box too.
-        changed, passed = clamp_beside_moving(bodies, before, segments, solved, touches, actuation, dt)
+        changed, passed = clamp_beside_moving(bodies, before, segments, solved, touches, actuation, substep.dt)
         if any_outside(bodies.position, walls.box):
             clamp_to_box(bodies, walls, solved)
             changed = True
