@@ -72,7 +72,7 @@ def of_reference(monkeypatch, *settings):
         for sweeps, us, share, upper in settings
     ]
     monkeypatch.setattr(presets, "installed", lambda: TABLE | {"settings": entries})
-    monkeypatch.setattr(presets, "_chosen", presets._chosen.__wrapped__)
+    monkeypatch.setattr(presets, "_chosen", getattr(presets._chosen, "__wrapped__", presets._chosen))
     return lambda accuracy: dc.recommend(dc.circles_in_box(100), accuracy=accuracy)
 
 
