@@ -19,10 +19,14 @@ def test_interpreted_functions_compute_what_the_compiled_ones_do(kind):
 
 
 @pytest.mark.parametrize(
-    ("name", "slowest"),
-    [("test_pairs.py", "resting or solver1 or options1"), ("test_rolling.py", "collapses or solver1")],
+    ("name", "which"),
+    [
+        ("test_pairs.py", ("-k", "not (resting or solver1 or options1)")),
+        ("test_rolling.py", ("-k", "not (collapses or solver1)")),
+        ("test_driven_bounces.py", ("-m", "slow", "-k", "5-25.0 or (its_way and 25.0)")),
+    ],
 )
-def test_laws_of_materials_hold_in_interpreted_steps(name, slowest):
+def test_laws_of_materials_and_of_motion_hold_in_interpreted_steps(name, which):
     """Without large piles and most runs of BatchedPGS. It divides by 0 in lanes that nothing uses."""
-    options = "-q", "-n", "0", "-p", "no:cacheprovider", "-W", "ignore::RuntimeWarning", "-k", f"not ({slowest})"
+    options = "-q", "-n", "0", "-p", "no:cacheprovider", "-W", "ignore::RuntimeWarning", *which
     run_python("-m", "pytest", *options, ROOT / "tests" / "behaviour" / name, environment={"NUMBA_DISABLE_JIT": "1"})
