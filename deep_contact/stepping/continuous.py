@@ -26,9 +26,9 @@ circle has an infinite mass, too, and holds the circle that pushes on it. A held
 holds it is at rest. If two circles are held against each other so that neither can move, the circle that is less firm
 moves nevertheless. A moving segment or fixed circle that runs into a firm circle passes over it.
 
-Slow approaches are left to the contacts (`PAIRS`, `HELD`). Simultaneous touches are handled together, and share the
-masses of their circles, so that the order of the circles does not matter. (Box2D 2.3 stops circles at walls and
-bullets, `b2World::SolveTOI`. The stopped circles lose the rest of their step.)
+Slow approaches are left to the contacts of the next step, which saves time (`PAIRS`, `FIXED`). Simultaneous touches are
+handled together, and share the masses of their circles, so that the order of the circles does not matter. (Box2D 2.3
+stops circles at walls and bullets, `b2World::SolveTOI`. The stopped circles lose the rest of their step.)
 """
 
 from __future__ import annotations

@@ -26,10 +26,17 @@ FAST = 0.5
 """A circle is fast relative to a body if it moves farther in a step, relative to it, than this share of its radius."""
 
 PAIRS = 0.5
-"""Two circles touch only if they approach each other, in a step, by more than this share of the smaller radius."""
+"""Two circles, neither of them fixed, touch only if they approach each other, in a step, by more than this share of the
+smaller radius.
 
-HELD = 0.01
-"""Share that replaces `PAIRS` if one of the two circles is held, and for touches with walls and segments."""
+At the end of the step, two circles that approach more slowly overlap by less than this share. The contacts of the next
+step stop them. The limit saves searches: without it, circles in a row pass ever smaller pushes to and fro. The paths of
+circles that touch and fly together need no limit: an approach that is only a rounding error changes a path by a
+rounding error.
+"""
+
+FIXED = 0.01
+"""Share that replaces `PAIRS` for touches with walls, segments and fixed circles."""
 
 MOST_TOUCHES = 200
 """Largest number of touches of a circle in a step. Later approaches are left to the contacts of the next step."""
@@ -51,7 +58,7 @@ def touch_walls(i, now, paths, actuation):
             rate = rate_x * WALL_NORMALS[wall, 0] + rate_y * WALL_NORMALS[wall, 1]
             before = wall_gap(paths.start[i, 0], paths.start[i, 1], paths.step.box, wall)
             # A circle that was outside of the box at the start of the step may come in.
-            if rate > HELD * radius and before > 0.0:
+            if rate > FIXED * radius and before > 0.0:
                 least = min(before, radius + scales.wall_skin - touching_overlap(radius, scales))
                 time = now + max(0.0, (wall_gap(x, y, paths.step.box, wall) - least) / rate)
                 if time < first:
@@ -140,7 +147,7 @@ def touch_segment(i, s, now, paths, actuation):
     if share > 1.0:
         return np.inf
     _, n_x, n_y = segment_gap(line[s], x + share * m_x, y + share * m_y)
-    return now + share * rest if m_x * n_x + m_y * n_y > HELD * radius * rest else np.inf
+    return now + share * rest if m_x * n_x + m_y * n_y > FIXED * radius * rest else np.inf
 
 
 @njit(inline="always")
@@ -164,8 +171,8 @@ def touch_circle(i, k, now, paths):
     least, slowest = reach - touching_overlap(smaller, paths.step.scales), PAIRS * smaller
     s_x, s_y = start[k, 0] - start[i, 0], start[k, 1] - start[i, 1]
     square = min(least * least, s_x * s_x + s_y * s_y)
-    if held[i] != FREE or held[k] != FREE:
-        slowest = HELD * smaller
+    if is_fixed_i or is_fixed_k:
+        slowest = FIXED * smaller
     beyond = p_x * p_x + p_y * p_y - square
     if beyond <= 0.0:
         return now if along * along > slowest * slowest * (p_x * p_x + p_y * p_y) else np.inf

@@ -1,6 +1,6 @@
 """Bounces on moving segments and fixed circles, and under pushes, at e > 0 and in every division of a step.
 
-All tests share one compiled kind of step.
+All tests but the slow ones share one compiled kind of step.
 """
 
 import math
@@ -11,6 +11,7 @@ import pytest
 from conftest import circles_at
 
 import deep_contact as dc
+from deep_contact.solvers import METHODS as SOLVERS
 
 WHOLE = dc.PGS(sweeps=20, tolerance=None)
 DIVISIONS = {"whole": WHOLE, "substeps": replace(WHOLE, substeps=4), "by motion": replace(WHOLE, most_substeps=16)}
@@ -335,9 +336,34 @@ def test_what_all_give_each_other_adds_up_to_nothing_and_changes_momentum(e, div
 
 METHODS = {**{name: {"solver": solver} for name, solver in DIVISIONS.items()}, "preset": {"accuracy": "fast"}}
 METHODS["resolved"] = {"solver": replace(WHOLE, sweeps=3000, tolerance=1e-8)}
+OTHERS = {name: {"solver": of(sweeps=20, tolerance=None)} for name, of in SOLVERS.items() if name != "PGS"}
+OF_ALL = METHODS | OTHERS
+# Each of the others is a kind of step to compile; test_without_compiler.py runs them interpreted.
+SOLVERS_TOO = [*METHODS, *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS)]
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", SOLVERS_TOO)
+@pytest.mark.parametrize("e", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("speed", [5.0, 25.0])
+def test_what_moves_does_the_work_of_its_force_along_its_way_however_a_step_is_divided(speed, e, method):
+    """Without a push, and if nothing fixed turns: W = −Σ P · V, with P what a wall or a fixed circle receives."""
+    scene, _ = crowd(5, e)
+    fixed, own = scene.bodies.is_fixed, np.array([[2.0, 0.0], [-0.2, 0.5], [0.0, 0.0]])
+    bodies = scene.bodies._replace(
+        velocity=np.where(fixed, 1.0, speed)[:, None] * scene.bodies.velocity,
+        spin=np.where(fixed, 0.0, scene.bodies.spin),
+    )
+    world = replace(scene.world, segment_velocities=np.stack([own, own], axis=1))
+    scene = scene.replace(world=world, bodies=bodies)
+    run = dc.simulate(scene, steps=30, record=1, forces=True, **OF_ALL[method])
+    walls, rollers = np.diff(run.loads[:, 4:], axis=0), np.diff(run.on_circles[:, fixed], axis=0)
+    work = -(walls * own).sum(axis=(1, 2)) - (rollers * bodies.velocity[fixed]).sum(axis=(1, 2))
+    energy = 0.5 * bodies.free_mass @ (bodies.velocity**2).sum(axis=1)
+    assert np.abs(work).max() > 1.0
+    np.testing.assert_allclose(np.diff(run.trajectory.work), work, atol=1e-12 * energy)
+
+
+@pytest.mark.parametrize("method", SOLVERS_TOO)
 @pytest.mark.parametrize("e", [0.0, 0.5, 1.0])
 @pytest.mark.parametrize(("seed", "speed"), [(1, 5.0), (5, 25.0), (6, 25.0)])
 def test_the_energy_of_each_step_changes_by_the_work_that_its_record_gives(seed, speed, e, method):
@@ -356,7 +382,7 @@ def test_the_energy_of_each_step_changes_by_the_work_that_its_record_gives(seed,
     mass, inertia = bodies.free_mass[:, None], np.where(free, bodies.inertia, 1.0)
     run = dc.simulate(
         scene.replace(bodies=bodies), steps=30, record=1, push=(force, torque),
-        on_step=lambda *solved: seen.append(solved), **METHODS[method],
+        on_step=lambda *solved: seen.append(solved), **OF_ALL[method],
     )  # fmt: skip
     path, parts, contacts_met = run.trajectory, run.substeps, 0
     energy = 0.5 * (mass[:, 0] * (bodies.velocity**2).sum(axis=1)).sum()
@@ -376,7 +402,8 @@ def test_the_energy_of_each_step_changes_by_the_work_that_its_record_gives(seed,
         changed = (mass * v * (v_1 - v_0))[free].sum()
         told = (of_circles[:n] + shifts + dt * (mass * g + force))[free]
         assert changed == pytest.approx((told * v[free]).sum(), abs=1e-12 * energy)
-        if parts[k] > 1 or METHODS[method].get("solver", WHOLE).substeps > 1:
+        np.testing.assert_allclose((mass * (v_1 - v_0))[free], told, atol=1e-12 * np.abs(mass * v_0).max())
+        if parts[k] > 1 or OF_ALL[method].get("solver", WHOLE).substeps > 1:
             continue
         turned = (dt * torque + turns[:n])[free]
         np.testing.assert_allclose((inertia * (w_1 - w_0))[free], turned, atol=1e-9)

@@ -8,7 +8,7 @@ from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.solvers import METHODS
-from deep_contact.stepping.continuous import middle_of
+from deep_contact.stepping.continuous import any_apart, middle_of
 from deep_contact.studies.hard_scenes import loaded_silo
 
 SMOOTH = 1e-12
@@ -273,6 +273,26 @@ def test_what_moves_less_than_half_a_radius_is_left_alone(speed):
     np.testing.assert_array_equal(after.bodies.position, state.bodies.position + 0.01 * state.bodies.velocity)
 
 
+@pytest.mark.parametrize("speed", [1.0, 24.0, 49.0])
+def test_circles_that_approach_slowly_are_left_to_their_contact(speed):
+    """They meet within the step, beside a fast circle: each moves by Δt v to the last bit, and they overlap."""
+    state = scene([[30.0, 20.0], [32.0 + 0.003 * speed, 20.0], [5.0, 5.0]], [[speed, 0.0], [0.0, 0.0], [0.0, 300.0]])
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state
+    np.testing.assert_array_equal(after.bodies.position, state.bodies.position + 0.01 * state.bodies.velocity)
+    assert after.contacts.count == 1
+
+
+@pytest.mark.parametrize("segments", [(), [((0.0, 10.0), (60.0, 10.0))]], ids=["wall", "segment"])
+def test_a_fast_circle_that_sinks_slowly_onto_what_it_flies_along_is_left_to_its_contact(segments):
+    """By 9 mm in a step, less than a hundredth of its radius: it moves by Δt v to the last bit."""
+    state = scene(
+        [[10.0, 1.012 + (10.0 if segments else 0.0)]], [[190.0, -0.9]], world=replace(NO_GRAVITY, segments=segments)
+    )
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state
+    np.testing.assert_array_equal(after.bodies.position, state.bodies.position + 0.01 * state.bodies.velocity)
+    assert after.contacts.count == 1
+
+
 @pytest.mark.parametrize("speed", [1e2, 1e4, 1e6])
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_gets_out_of_a_closed_box(seed, speed):
@@ -509,3 +529,66 @@ def test_the_middle_of_points_is_that_of_their_bounding_box():
     points = np.array([[0.0, 7.0], [2.0, -1.0], [1.0, 0.0], [9.0, 9.0]])
     assert middle_of(points, 3) == (1.0, 3.0)
     assert middle_of(points[::-1].copy(), 4) == (4.5, 4.0)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("way", [-1.0, 1.0])
+def test_circles_search_each_other_only_if_they_move_apart_from_the_middle_of_all(axis, way):
+    """One of 1 m has to differ from it by a quarter of its radius in a step of 0.01 s: 25 m/s."""
+    radius, velocity = np.array([1.0, 2.0]), np.array([[300.0, -40.0], [300.0, -40.0]])
+    for difference, apart in ((0.0, False), (48.0, False), (52.0, True)):
+        moved = velocity.copy()
+        moved[0, axis] += way * difference
+        assert any_apart(moved, radius, 0.01) == apart
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5 * np.pi, np.pi, -0.5 * np.pi])
+@pytest.mark.parametrize("share", [0.1, 0.9])
+@pytest.mark.parametrize("ends", [1, -1])
+def test_a_fast_wall_holds_what_it_only_just_reaches(ends, share, angle):
+    """It moves 5 m a step. Without a touch it would end the step 1 m before the centre; a touch is at 1.0075 m.
+
+    share: place along the wall. ends: which end of the segment is the first.
+    """
+    along = np.round([np.cos(angle), np.sin(angle)])
+    left = np.array([-along[1], along[0]])
+    line = np.array([-5.0 * left, 5.0 * left])[::ends]
+    world = replace(EMPTY, segments=[tuple(map(tuple, line))], segment_velocities=[(tuple(500.0 * along),) * 2])
+    state = scene([6.0 * along + (10.0 * share - 5.0) * left], [[0.0, 0.0]], world=world)
+    moved = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position[0] - state.bodies.position[0]
+    np.testing.assert_allclose([moved @ along, moved @ left], [0.0075, 0.0], atol=1e-9)
+
+
+def crowd(seed, e, along):
+    """Fast circles, three of them fixed, among walls of which two move, as (scene, …): x goes along a unit vector."""
+    rng, turn = np.random.default_rng(seed), np.array([along, [-along[1], along[0]]])
+    place = np.stack(np.meshgrid(np.arange(-3.0, 4.0), np.arange(-2.0, 3.0)), axis=-1).reshape(-1, 2)
+    place, n = 2.5 * place + rng.uniform(-0.3, 0.3, place.shape), len(place)
+    fixed, velocity = np.isin(np.arange(n), [8, 17, 26]), rng.normal(0.0, 300.0, (n, 2))
+    velocity[[8, 17]] = 0.0
+    lines = [((-9, -7), (-5, -9)), ((-5, -9), (-1, -8)), ((8, 9), (3, 7)), ((-11, -6), (-10, 6)), ((7, -9), (10, -9))]
+    moves = [((0, 0), (0, 0)), ((0, 0), (0, 0)), ((0, 0), (0, 0)), ((400, 0), (300, 100)), ((0, 300), (-50, 300))]
+    world = dc.World(
+        box=(-12, -12, 12, 12), gravity=tuple(np.array([30.0, -90.0]) @ turn), friction=SMOOTH, restitution=e,
+        segments=np.array(lines) @ turn, segment_velocities=np.array(moves) @ turn,
+    )  # fmt: skip
+    return scene(
+        place @ turn, velocity @ turn, radius=rng.uniform(0.4, 0.9, n), mass=rng.uniform(0.5, 5.0, n), fixed=fixed,
+        world=world,
+    ), turn  # fmt: skip
+
+
+@pytest.mark.filterwarnings("ignore:.*passes over circle")
+@pytest.mark.parametrize("along", [(0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
+@pytest.mark.parametrize("e", [0.0, 0.8])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_fast_crowd_moves_alike_whichever_way_it_is_turned(seed, e, along):
+    """By quarters of a turn, with all that is in it. Two steps, of some metres each."""
+    ways = []
+    for direction in ((1.0, 0.0), along):
+        state, turn = crowd(seed, e, direction)
+        after = dc.simulate(state, steps=2, solver=dc.PGS()).state.bodies
+        assert np.abs(after.position - state.bodies.position).max() > 2.0
+        ways.append((after.position @ turn.T, after.velocity @ turn.T))
+    np.testing.assert_allclose(ways[1][0], ways[0][0], atol=1e-7)
+    np.testing.assert_allclose(ways[1][1], ways[0][1], atol=1e-5)
