@@ -189,15 +189,22 @@ def test_touches_of_one_time_have_no_order():
         assert top[1] > left[1]
 
 
-def test_what_moves_fast_carries_circles_up_to_what_rests():
-    # 10 m a step: the wall carries three, which stop one after the other before the line that rests, and passes over.
+@pytest.mark.parametrize("order", [[0, 1, 2], [2, 1, 0], [1, 2, 0]])
+@pytest.mark.parametrize("rest", ["segment", "circle"])
+def test_what_moves_fast_carries_circles_up_to_what_rests(rest, order):
+    # 10 m a step: the wall carries three, which stop one after the other before what rests at x = 8, and passes over.
+    lines, velocities = [((0, -9), (0, 9)), ((8, -9), (8, 9))], [((1000, 0), (1000, 0)), ((0, 0), (0, 0))]
+    place, fixed, stop = np.array([[2.0, 0.0], [4.1, 0.0], [6.2, 0.0]])[order], [False] * 3, 6.9925
+    if rest == "circle":
+        lines, velocities, stop = lines[:1], velocities[:1], 9.0 - 1.9975
+        place, fixed = np.concatenate([place, [[9.0, 0.0]]]), [*fixed, True]
+    world = replace(EMPTY, segments=lines, segment_velocities=velocities)
     for solver in (dc.PGS(), dc.BatchedPGS()):
-        lines, velocities = [((0, -9), (0, 9)), ((8, -9), (8, 9))], [((1000, 0), (1000, 0)), ((0, 0), (0, 0))]
-        world = replace(EMPTY, segments=lines, segment_velocities=velocities)
-        state = scene([[2.0, 0.0], [4.1, 0.0], [6.2, 0.0]], [[0.0, 0.0]] * 3, world=world)
+        state = scene(place, np.zeros_like(place), world=world, fixed=fixed)
         with pytest.warns(UserWarning, match="a moving segment passes over circle"):
             after = dc.simulate(state, steps=5, solver=solver).state
-        np.testing.assert_allclose(after.bodies.position[:, 0], [2.9975, 4.995, 6.9925], atol=0.02)
+        stops = stop - 1.9975 * (2 - np.array(order))
+        np.testing.assert_allclose(after.bodies.position[:3, 0], stops, atol=0.02)
 
 
 @pytest.mark.parametrize("rest", ["segment", "wall", "circle", "wedge"])
@@ -592,3 +599,40 @@ def test_a_fast_crowd_moves_alike_whichever_way_it_is_turned(seed, e, along):
         ways.append((after.position @ turn.T, after.velocity @ turn.T))
     np.testing.assert_allclose(ways[1][0], ways[0][0], atol=1e-7)
     np.testing.assert_allclose(ways[1][1], ways[0][1], atol=1e-5)
+
+
+TURNS = [np.array([along, [-along[1], along[0]]]) for along in ([1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0])]
+"""Rows are the unit vectors along which x and y go, turned by quarters."""
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_a_circle_that_slides_off_a_segment_goes_on_to_the_wall_on_which_the_segment_ends(turn):
+    """8 m along the segment and 2 m down in a step: it touches the segment at x = 18.87, and then the wall."""
+    world = dc.World(box=(-20, -20, 20, 20), gravity=(0, 0), segments=[([[10.0, -10.0], [20.0, -10.0]] @ turn)])
+    state = scene([[14.9, -8.0]] @ turn, [[800.0, -200.0]] @ turn, world=world)
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position @ turn.T
+    np.testing.assert_allclose(after, [[20.0 - 1.0075, -10.0 + 1.0075]], atol=1e-9)
+
+
+@pytest.mark.parametrize("turn", TURNS)
+@pytest.mark.parametrize("ends", [1, -1])
+@pytest.mark.parametrize("ground", ["segment", "wall"])
+def test_a_fast_circle_does_not_feel_the_end_of_a_segment_that_lies_on_what_it_slides_along(ground, ends, turn):
+    """It lies 4 mm deep, where an end that stood alone would be touched, and goes 8 m in a step."""
+    lines = [[[10.0, 0.0], [20.0, 0.0]][::ends]]
+    if ground == "segment":
+        lines.append([[0.0, 0.0], [10.0, 0.0]])
+    corners = np.array([[-30.0, -30.0 if ground == "segment" else 0.0], [30.0, 30.0]]) @ turn
+    world = replace(EMPTY, box=(*corners.min(axis=0), *corners.max(axis=0)), segments=np.array(lines) @ turn)
+    state = scene([[5.0, 1.006]] @ turn, [[800.0, 0.0]] @ turn, world=world)
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position @ turn.T
+    np.testing.assert_allclose(after, [[13.0, 1.006]], atol=1e-9)
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_a_fast_circle_that_slides_into_a_wedge_stops_where_it_touches_both_sides(turn):
+    """Of 60°. It touches the lower side after half of the step, and then goes 15 m along it."""
+    lines = np.array([[[0.0, 0.0], [40.0, 0.0]], [[0.0, 0.0], [20.0, 20.0 * np.sqrt(3.0)]]]) @ turn
+    state = scene([[20.0, 1.5]] @ turn, [[-3000.0, -100.0]] @ turn, world=replace(EMPTY, segments=lines))
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position @ turn.T
+    np.testing.assert_allclose(after, [[1.0075 * np.sqrt(3.0), 1.0075]], atol=1e-9)
