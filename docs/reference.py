@@ -31,7 +31,7 @@ TASKS = {
 SYNONYMS = {
     "materials.md": (
         "two materials, per-body friction, friction matrix, contact properties, collision filter, collision group, layer, "
-        "mask, category, trigger, rolling resistance, rolling friction, angle of repose"
+        "mask, category, trigger, sensor, rolling resistance, rolling friction, angle of repose"
     ),
     "moving.md": "moving wall, piston, conveyor, belt, kinematic, paddle, roller, shear cell, moving boundary, motor",
     "recipes.md": "callback, hook, video, movie, animation, player, csv, observer, checkpoint, stop condition",

@@ -189,9 +189,11 @@ def film(states: Iterable[State], path, *, fps: float | None = None, size: int |
 
     The other arguments, the result and the errors are those of `Trajectory.film`. Raises ValueError without states.
     """
+    from deep_contact.io.files import path_of
+
     states = list_of("states", State, states)
     expect(states, "states: expected at least one state, got none")
-    if Path(path).suffix == ".html":
+    if path_of(path).suffix == ".html":
         from deep_contact.plot.player import write_page
 
         for name, value in (("fps", fps), ("size", size)):
