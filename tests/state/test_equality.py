@@ -75,7 +75,7 @@ def altered(value, number=None):
     number: what it is changed to, in arrays of floats alone; by default to 0 or 1.
     """
     if isinstance(value, np.ndarray):
-        if value.size and value.dtype.kind in ("iuf" if number is None else "f"):
+        if value.size and value.dtype.kind in ("iuf" if number is None else "f") and not np.isnan(value.flat[-1]):
             other = value.copy()
             other.flat[-1] = other.flat[-1] == 0 if number is None else number
             yield other
