@@ -584,9 +584,10 @@ class Simulator:
 
 
 class _NotAssigned:
-    """A name that looks like an attribute of a `Simulator` and is none. Assigning to it would change nothing.
+    """A name that users take for an attribute of a `Simulator`. Access and assignment raise AttributeError.
 
-    So it raises AttributeError, as reading does. hint: what to do in place of it.
+    Without it, an assignment such as `live.gravity = (0, 0)` would be silent and change nothing. hint: what to write
+    instead.
     """
 
     def __init__(self, name: str, hint: str):
