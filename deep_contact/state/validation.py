@@ -180,7 +180,7 @@ OWNERS = {name: owner for owner, names in _OWNERS.items() for name in names.spli
 """Keyword -> the function or class that has it, for messages of calls that do not."""
 
 ALIKE = 0.7
-"""Smallest similarity (`difflib`) of a keyword and its suggestion. With 0.6 the suggestion for "save" would be "state"."""
+"""Smallest similarity (`difflib`) of a keyword and its suggestion. With 0.6, "save" would suggest "state"."""
 
 F = TypeVar("F", bound=Callable)
 
