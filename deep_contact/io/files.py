@@ -25,6 +25,12 @@ def path_of(path: str | os.PathLike) -> Path:
     return Path(path)
 
 
+def check_ending(path: str | os.PathLike, endings: tuple[str, ...], hint: str) -> None:
+    """Raise ValueError unless the name of a file ends as its content needs. hint: what writes other kinds of files."""
+    if not path_of(path).name.endswith(endings):
+        raise ValueError(f"path: expected a name that ends in {' or '.join(endings)}, got {str(path)!r}; {hint}")
+
+
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """Context with a temporary path beside `path`. At the end of the block the temporary file is renamed to `path`.

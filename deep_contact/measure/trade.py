@@ -17,7 +17,7 @@ from deep_contact.accuracy import presets
 from deep_contact.accuracy.presets import PRESETS, Decision
 from deep_contact.accuracy.stiffness import stiffness
 from deep_contact.io import json_data
-from deep_contact.io.files import path_of, read_bytes, write_json
+from deep_contact.io.files import check_ending, path_of, read_bytes, write_json
 from deep_contact.measure import peers
 from deep_contact.measure.errors import ERRORS, REST, observation, with_reach
 from deep_contact.measure.settings import name_of, solver_of
@@ -202,7 +202,11 @@ class Trade:
         return figure
 
     def save(self, path) -> Path:
-        """Write the trade with its observations to a JSON file. Returns the path of the file."""
+        """Write the trade with its observations to a JSON file. Returns the path of the file.
+
+        Raises ValueError unless the path ends in .json, and OSError if the file cannot be written.
+        """
+        check_ending(path, (".json",), "trade.plot() makes a figure")
         stored = {f.name: getattr(self, f.name) for f in fields(self)}
         runs = [[*of, seconds, seen._asdict()] for of, (seconds, seen) in self.observed.items()]
         return write_json(path, json_data.plain(stored | {"observed": runs}))

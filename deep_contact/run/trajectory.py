@@ -73,11 +73,15 @@ class Trajectory:
     def save(self, path) -> None:
         """Write the run to an HDF5 file. On an error there is no partial file.
 
-        Raises OSError if the file cannot be written.
+        path: path of the file, which ends in .h5 or .hdf5. Raises ValueError for another ending, and OSError if the
+        file cannot be written.
         """
-        from deep_contact.io.files import write_bytes
+        from deep_contact.io.files import check_ending, write_bytes
         from deep_contact.io.simulation_h5 import simulation_file
 
+        check_ending(
+            path, (".h5", ".hdf5"), "pandas.DataFrame(trajectory.table()) writes tables, trajectory.film films"
+        )
         write_bytes(path, simulation_file(self.stored))
 
     def __len__(self) -> int:

@@ -8,6 +8,7 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.cnn import ImageSpec, LearnedModel
+from deep_contact.measure.trade import Trade
 from deep_contact.sph import Grid
 from deep_contact.state.validation import OWNERS
 
@@ -303,6 +304,22 @@ WRONG = {
     ),
     "a number for a path": (lambda: dc.read_state(3), "path: expected the path of a file, .*, got 3"),
     "a run for a path": (lambda: dc.load_trajectory(RUN), "path: expected the path of a file, .*, got Simulation"),
+    "a run to a table": (
+        lambda: RUN.trajectory.save("run.csv"),
+        r"path: expected a name that ends in .h5 or .hdf5, got 'run.csv'; pandas.DataFrame\(trajectory.table",
+    ),
+    "a trade to a picture": (
+        lambda: Trade.save(None, "trade.png"),
+        r"path: expected a name that ends in .json, got 'trade.png'; trade.plot\(\) makes a figure",
+    ),
+    "a film for ParaView": (
+        lambda: RUN.trajectory.film("run.vtu"),
+        "path: expected a name that ends in .html, .gif or .mp4, got 'run.vtu'",
+    ),
+    "a file of states for a state": (
+        lambda: dc.write_state("run.h5", STATE),
+        "run.h5: not written: .* .xml or .xml.gz",
+    ),
     "no path": (lambda: RUN.trajectory.film(None), "path: expected the path of a file, .*, got None"),
     # networks
     "a network of Keras as a start": (
