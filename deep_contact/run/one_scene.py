@@ -118,8 +118,9 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
         integer("record", record, least=1)
     if flag("forces", forces) and record is None:
         raise ValueError("forces: expected False without record=…, got True")
-    for name in ("until", "on_step"):
-        function(name, getattr(options, name))
+    for name, value in (("until", until), ("on_step", on_step)):
+        if value is not None:
+            function(name, value)
     if options.dt is not None:
         state = with_time_step(state, options.dt)
     how = options.how

@@ -110,7 +110,8 @@ class Simulator:
         how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep, "push": push}
         is_anew = solver is None and getattr(state, "solver", None) is None
         watch = {"forces": flag("forces", forces), "on_step": on_step}
-        function("on_step", on_step)
+        if on_step is not None:
+            function("on_step", on_step)
         self._options, self._steps = RunOptions(**how, **watch, is_anew=is_anew), None
         prepared = _prepared(state, self._options)
         if forces:

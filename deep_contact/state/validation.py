@@ -236,8 +236,8 @@ def flag(name: str, value) -> bool:
 
 
 def function(name: str, value) -> None:
-    """Raise ValueError unless `value` can be called, or is None."""
-    if value is not None and not callable(value):
+    """Raise ValueError unless `value` can be called. The message says that None is allowed, too."""
+    if not callable(value):
         raise ValueError(f"{name}: expected a function, or None, got {brief(value)}")
 
 
