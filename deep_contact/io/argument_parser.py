@@ -1,4 +1,4 @@
-"""`Parser`: the words of a command line, with the option or the command that a misspelt word was meant to be.
+"""`Parser`: an argument parser that suggests the nearest option or command for a misspelt one.
 
 Tests: tests/test_command_line.py
 """
@@ -11,7 +11,7 @@ import re
 
 
 class Parser(argparse.ArgumentParser):
-    """An `argparse.ArgumentParser` whose errors of unknown options and commands suggest the most similar one."""
+    """An `argparse.ArgumentParser`. Its errors for an unknown option or command suggest the most similar known one."""
 
     def parse_known_args(self, args=None, namespace=None):
         parsed, unknown = super().parse_known_args(args, namespace)

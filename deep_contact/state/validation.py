@@ -236,7 +236,7 @@ def flag(name: str, value) -> bool:
 
 
 def function(name: str, value) -> None:
-    """Raise ValueError unless `value` can be called. The message says that None is allowed, too."""
+    """Raise ValueError unless `value` can be called. It is for options that may also be None, which is not passed."""
     if not callable(value):
         raise ValueError(f"{name}: expected a function, or None, got {brief(value)}")
 
