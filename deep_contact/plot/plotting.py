@@ -300,6 +300,8 @@ def state_data(state) -> dict:
 def state_of(data: Mapping):
     """Return the state that `state_data` stored. It cannot be simulated, because it lacks gravity and settings of the
     solver.
+
+    data: result of `state_data`.
     """
     bodies, contacts = ({name: np.array(of) for name, of in data[part].items()} for part in ("bodies", "contacts"))
     contacts = Contacts(**contacts) if contacts["body_a"].size else no_contacts()
