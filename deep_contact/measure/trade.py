@@ -17,7 +17,7 @@ from deep_contact.accuracy import presets
 from deep_contact.accuracy.presets import PRESETS, Decision
 from deep_contact.accuracy.stiffness import stiffness
 from deep_contact.io import json_data
-from deep_contact.io.files import read_bytes, write_json
+from deep_contact.io.files import check_ending, path_of, read_bytes, write_json
 from deep_contact.measure import peers
 from deep_contact.measure.errors import ERRORS, REST, observation, with_reach
 from deep_contact.measure.settings import name_of, solver_of
@@ -206,7 +206,11 @@ class Trade:
         return figure
 
     def save(self, path) -> Path:
-        """Write the trade with its observations to a JSON file. Returns the path of the file."""
+        """Write the trade with its observations to a JSON file. Returns the path of the file.
+
+        Raises ValueError unless the path ends in .json, and OSError if the file cannot be written.
+        """
+        check_ending(path, (".json",), "trade.plot() makes a figure")
         stored = {f.name: getattr(self, f.name) for f in fields(self)}
         runs = [[*of, seconds, seen._asdict()] for of, (seconds, seen) in self.observed.items()]
         return write_json(path, json_data.plain(stored | {"observed": runs}))
@@ -214,6 +218,7 @@ class Trade:
 
 def load_trade(path) -> Trade:
     """Return the `Trade` in a file of `Trade.save`. Raises ValueError if it is another kind of file."""
+    path = path_of(path)
     try:
         stored = json.loads(read_bytes(path, LARGEST_FILE), parse_constant=_refused, parse_float=_finite)
         runs = stored["observed"]
@@ -226,7 +231,7 @@ def load_trade(path) -> Trade:
         str(trade)  # raises an error if a row is wrong
         return trade
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise ValueError(f"{Path(path).name}: expected a file of Trade.save, got {brief(error)}") from None
+        raise ValueError(f"{path.name}: expected a file of Trade.save, got {brief(error)}") from None
 
 
 def _refused(text: str) -> float:

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.io.files import replacing
+from deep_contact.io.files import path_of, replacing
 from deep_contact.state.arrays import Bodies, Contacts, no_contacts
 from deep_contact.state.state import State, contact_lines
 from deep_contact.state.validation import expect, one_of
@@ -299,7 +299,7 @@ def state_data(state) -> dict:
 
 
 def state_of(data: Mapping):
-    """Return the state that `state_data` stored.
+    """Return the state that `state_data` stored. data: result of `state_data`.
 
     It cannot be simulated, because it has neither gravity nor settings of the solver.
     """
@@ -544,7 +544,7 @@ def draw_network(
 
 def save(figure, path: str | os.PathLike) -> Path:
     """Write a figure as PNG to a path that ends in .png. Returns the path. Equal figures give equal bytes."""
-    path = Path(path)
+    path = path_of(path)
     hint = "figure.savefig writes other formats"
     expect(path.suffix.lower() == ".png", f"path: expected a name that ends in .png, got {str(path)!r}; {hint}")
     with style(), replacing(path) as temporary:

@@ -18,7 +18,7 @@ from deep_contact.starts.classical import starting_impulses
 from deep_contact.starts.names import Start
 from deep_contact.state.materials import largest
 from deep_contact.state.state import State, StateWithContacts, read_only
-from deep_contact.state.validation import flag, integer, suggesting
+from deep_contact.state.validation import flag, function, integer, suggesting
 from deep_contact.stepping.convergence import ConvergenceRecord
 from deep_contact.stepping.log import make_log
 from deep_contact.stepping.prepare import ready
@@ -118,6 +118,9 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
         integer("record", record, least=1)
     if flag("forces", forces) and record is None:
         raise ValueError("forces: expected False without record=…, got True")
+    for name, value in (("until", until), ("on_step", on_step)):
+        if value is not None:
+            function(name, value)
     if options.dt is not None:
         state = with_time_step(state, options.dt)
     how = options.how

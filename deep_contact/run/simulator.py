@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -35,7 +36,7 @@ from deep_contact.state.fields import (
 )
 from deep_contact.state.materials import largest
 from deep_contact.state.state import State, StateWithContacts, changed, frozen, read_only
-from deep_contact.state.validation import brief, expect, flag, integer, suggesting, warn
+from deep_contact.state.validation import brief, expect, flag, function, integer, suggesting, warn
 from deep_contact.state.world import World
 from deep_contact.stepping.convergence import ConvergenceRecord, convergence_record
 from deep_contact.stepping.inputs import scales_of, step_input
@@ -109,8 +110,8 @@ class Simulator:
         how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep, "push": push}
         is_anew = solver is None and getattr(state, "solver", None) is None
         watch = {"forces": flag("forces", forces), "on_step": on_step}
-        if on_step is not None and not callable(on_step):
-            raise ValueError(f"on_step: expected a function, or None, got {brief(on_step)}")
+        if on_step is not None:
+            function("on_step", on_step)
         self._options, self._steps = RunOptions(**how, **watch, is_anew=is_anew), None
         prepared = _prepared(state, self._options)
         if forces:
@@ -595,6 +596,33 @@ class Simulator:
             normal, tangent, problem = starting_impulses(self._start, state, solver, self._scales)
             contacts = contacts._replace(normal_start=normal, tangent_start=tangent)
         return contacts, problem
+
+
+class _NotAssigned:
+    """A name that users take for an attribute of a `Simulator`. Access and assignment raise AttributeError.
+
+    Without it, an assignment such as `live.gravity = (0, 0)` would be silent and change nothing. hint: what to write
+    instead.
+    """
+
+    def __init__(self, name: str, hint: str):
+        self._message = f"{name}: {hint}"
+
+    def __get__(self, live, kind=None):
+        if live is None:
+            return self
+        raise AttributeError(self._message)
+
+    def __set__(self, live, value):
+        raise AttributeError(f"{self._message}, got an assignment of {brief(value)}")
+
+
+for _name in inspect.signature(Simulator.set).parameters.keys() - {"self"}:
+    setattr(Simulator, _name, _NotAssigned(_name, f"expected live.set({_name}=…) to change it, live.state to read it"))
+for _name in ("world", "bodies", "contacts"):
+    setattr(Simulator, _name, _NotAssigned(_name, f"expected live.state.{_name}; set, add and remove change the scene"))
+for _name in inspect.signature(Simulator).parameters.keys() - {"state", "push"}:
+    setattr(Simulator, _name, _NotAssigned(_name, f"expected dc.Simulator(live.state, {_name}=…), a new simulator"))
 
 
 class _Watched(NamedTuple):

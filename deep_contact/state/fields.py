@@ -22,6 +22,7 @@ from deep_contact.state.materials import (
 )
 from deep_contact.state.scales import ContactScales
 from deep_contact.state.validation import (
+    array_of,
     brief,
     expect,
     floats,
@@ -67,13 +68,14 @@ def make_bodies(
         mass = density * np.pi * radius**2
     velocity = _for_each("velocity", velocity, (n, 2))
     angle, spin, mass = (_for_each(*one, (n,)) for one in (("angle", angle), ("spin", spin), ("mass", mass)))
-    flags = np.asarray(fixed)
-    expect(flags.dtype == bool and flags.shape in ((), (n,)), f"fixed: expected {n} flags, or one, got {brief(fixed)}")
-    mass, material = np.where(flags, np.inf, mass), np.asarray(material)
-    fits = np.issubdtype(material.dtype, np.integer) and material.shape in ((), (n,))
-    if not fits:
-        raise ValueError(f"material: expected {n} integers, or one, got {brief(material)}")
-    return check_bodies(Bodies(position, velocity, angle, spin, mass, radius, np.broadcast_to(material, (n,))))
+    flags, kinds = array_of(fixed), array_of(material)
+    of = f"for all circles, or for each of the {n}"
+    if flags.dtype != bool or flags.shape not in ((), (n,)):  # not by `expect`, as in `_length`
+        raise ValueError(f"fixed: expected True or False {of}, got {brief(fixed)}")
+    if not np.issubdtype(kinds.dtype, np.integer) or kinds.shape not in ((), (n,)):
+        raise ValueError(f"material: expected an integer from 0 on {of}, got {brief(material)}")
+    mass = np.where(flags, np.inf, mass)
+    return check_bodies(Bodies(position, velocity, angle, spin, mass, radius, np.broadcast_to(kinds, (n,))))
 
 
 def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
@@ -104,7 +106,7 @@ def checked_world(world: World) -> dict:
         "touches": checked_touches(world.touches),
     }
     materials = {
-        "wall_materials": checked_materials("wall_materials", world.wall_materials, 4),
+        "wall_materials": checked_materials("wall_materials", world.wall_materials, 4, of=", ".join(SIDES)),
         "segment_materials": _checked_segment_materials(world.segment_materials, len(segments)),
     }
     for name, values in materials.items():
@@ -240,7 +242,7 @@ def checked_indices(name: str, which, count: int) -> np.ndarray:
 
     which: one index, several indices, or `count` flags. Raises ValueError if an index occurs twice or is out of range.
     """
-    chosen = np.asarray(which)
+    chosen = array_of(which)
     if chosen.dtype == bool and chosen.shape == (count,):
         chosen = np.flatnonzero(chosen)
     chosen = np.atleast_1d(chosen) if chosen.size else np.zeros(0, np.int64)
@@ -282,6 +284,7 @@ def checked_fixed(bodies: Bodies, velocities, spins) -> tuple[np.ndarray, np.nda
         if value is not None:
             what, unit = ("pair", "m/s") if kept.ndim == 2 else ("number", "rad/s")
             expected = f"a finite {what}, {unit}, for all fixed circles, or one for each of the {k}"
+            expected = expected if k else "None, since no circle is fixed"
             numbers = real_numbers(value)
             fits = k > 0 and numbers is not None and numbers.shape in (kept.shape[1:], kept.shape)
             expect(fits and np.isfinite(numbers).all(), f"{name}: expected {expected}, got {brief(value)}")
@@ -339,7 +342,7 @@ def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
 
 def _checked_segment_materials(materials, count: int) -> tuple[int, ...]:
     count = 0 if np.array_equal(materials, []) else count
-    checked = checked_materials("segment_materials", materials, count)
+    checked = checked_materials("segment_materials", materials, count, of="one a segment")
     return checked if any(checked) else ()
 
 
@@ -380,7 +383,7 @@ def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
     """
     shape = (count, 2) if name in ("position", "velocity", "normal") else (count,)
     if name in ("body_a", "body_b", "material"):
-        index = np.asarray(value)
+        index = array_of(value)
         fits = index.shape == shape and (np.issubdtype(index.dtype, np.integer) or index.size == 0)
         expect(fits, f"{owner}.{name}: expected integers of shape {shape}, got {index.dtype}, {index.shape}")
         return index.astype(np.int64)

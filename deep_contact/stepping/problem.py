@@ -99,6 +99,7 @@ class ContactSolution(NamedTuple):
         return f"ContactSolution({html.counted(self.normal_impulses.size, 'contact')}, {self.record})"
 
 
+@by_value
 class StepProblem(NamedTuple):
     """The contact problem of the next step of a state, after the impacts of that step.
 

@@ -6,6 +6,9 @@ import sys
 import pytest
 from conftest import ROOT
 
+import deep_contact as dc
+from deep_contact import lazy
+
 sys.path.insert(0, str(ROOT / "docs"))
 griffe = pytest.importorskip("griffe")
 reference = pytest.importorskip("reference")
@@ -28,6 +31,20 @@ def test_a_solver_has_all_its_options_with_their_meanings_those_of_its_base_too(
     for option, meaning in rows:
         assert len(meaning) > 10, option
         assert "see `" not in meaning, option
+
+
+def test_every_argument_of_a_public_name_has_a_meaning(package):
+    """The rows of the tables on the pages of public names: none is empty, as that of `state` once was."""
+    rows = []
+    for public, (module, name) in lazy.homes(dc.__file__).items():
+        found = package[f"{module}.{name}".removeprefix("deep_contact.")]
+        parts = found.members if found.is_class or found.is_module else {}
+        public_parts = [one for part, one in parts.items() if not part.startswith("_") and not one.is_alias]
+        for one in (found, *public_parts):
+            text = one.docstring.value if one.docstring else ""
+            rows += [(public, one.name, *row) for row in re.findall(r"^\| `(\**\w+)` \| (.*?) \| ", text, re.MULTILINE)]
+    assert len(rows) > 350
+    assert [row[:3] for row in rows if not row[3].strip()] == []
 
 
 def test_the_nearest_class_tells_the_meaning_of_an_argument():
