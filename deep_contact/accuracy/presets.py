@@ -418,8 +418,8 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff, rolls: 
 def _near(n: int, kinds: Sequence[str]) -> tuple[set[str], str, str]:
     """Return (kinds, smaller size, larger size): kinds of the study, and the two sizes of its scenes around n, as text.
 
-    The result has those of `kinds` that the study has, or all kinds of the study if it has none of them. Both sizes are
-    the nearest size if n lies outside of the sizes that the study has for these kinds.
+    The result has those of `kinds` that the study has. If the study has none of them, the result has all kinds of the
+    study. Both sizes are the nearest size if n lies outside of the sizes that the study has for these kinds.
     """
     sizes_of = installed()["kinds"]
     wanted = sizes_of.keys() & kinds or set(sizes_of)

@@ -19,7 +19,7 @@ from deep_contact.solvers import batches
 from deep_contact.solvers.batches import BLOCKS, CONTACTS
 from deep_contact.state.constants import POSITION_TOLERANCE
 from deep_contact.stepping import broad_phase, stay_inside
-from deep_contact.stepping.contacts import carry_impulses, find_pairs, write_geometry
+from deep_contact.stepping.contacts import Exclusions, carry_impulses, find_pairs, mass_if_fixed, write_geometry
 from deep_contact.stepping.context import begin_steps, follow, results_of, set_segments, walls_of
 from deep_contact.stepping.convergence import all_finite, is_over
 from deep_contact.stepping.impacts import logged_rebound
@@ -304,9 +304,10 @@ def do_substep_in_batches(context, workspace, log, actuation):
     least = 0 if largest_of(substep.restitution) > 0.0 or is_asked(log) or actuation is not None else n
     position, radius, walls = bodies.position, bodies.radius, walls_of(substep)
     touches, buffer = substep.touches, memory.contacts[context.buffer]
-    passed = stay_inside.clamp_inside(substep, before, segments, solved, actuation)
+    passed = stay_inside.clamp_inside(bodies, before, walls, segments, solved, touches, actuation, substep.dt)
     broad_phase.refresh_list(position, radius, cells, 0.0)
-    following = find_pairs(bodies, walls, segments, touches, actuation, cells, buffer)
+    exclusions = Exclusions(mass_if_fixed(bodies, actuation), touches)
+    following = find_pairs(position, radius, walls, segments, exclusions, cells, buffer)
     write_geometry(position, radius, walls, segments, following, least)
     if actuation is not None:
         following = without_passed(following, bodies, segments, actuation, log.progress)

@@ -109,11 +109,10 @@ def with_new_load(state: StateWithContacts, solver, *, share: float = 1.0) -> St
 
 
 def _nearest_start(state: StateWithContacts, problem: StepProblem, carried) -> tuple[np.ndarray, np.ndarray]:
-    """Return the start (λ_n, λ_t) of a search for impulses, (m,) each, N·s: of two starts, the one with less energy.
+    """Return the better of two starts (λ_n, λ_t) of a search for impulses, (m,) each, N·s: it leaves less energy.
 
-    The energy is that after these impulses. The two starts are the carried impulses times the factor that leaves the
-    least energy (`best_share`), and impulses that carry loads down (`support.supported`). carried: (λ_n, λ_t). problem:
-    `StepProblem` of the state.
+    One start is the carried impulses times the factor that leaves the least energy (`best_share`). The other start is
+    the impulses that carry loads down (`support.supported`). carried: (λ_n, λ_t). problem: `StepProblem` of the state.
     """
     energies, starts = [], [carried, supported(state, problem)]
     for i, (normal, tangent) in enumerate(starts):

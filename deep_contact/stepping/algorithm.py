@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from deep_contact.compiled import njit
 from deep_contact.stepping import sleeping
-from deep_contact.stepping.contacts import carry_impulses, detect_contacts
+from deep_contact.stepping.contacts import Exclusions, carry_impulses, detect_contacts, mass_if_fixed
 from deep_contact.stepping.context import begin_steps, follow, results_of, set_segments, walls_of
 from deep_contact.stepping.convergence import all_finite
 from deep_contact.stepping.impacts import logged_rebound
@@ -108,8 +108,9 @@ def do_substep(context, sleep, log, actuation):
     # The contacts of the next substep, and the circles that sleep in it.
     context.buffer = 1 - context.buffer
     walls, touches, buffer = walls_of(substep), substep.touches, memory.contacts[context.buffer]
-    passed = clamp_inside(substep, before, segments, contacts, actuation)
-    following = detect_contacts(bodies, walls, segments, touches, actuation, memory.cells, buffer)
+    passed = clamp_inside(bodies, before, walls, segments, contacts, touches, actuation, substep.dt)
+    exclusions = Exclusions(mass_if_fixed(bodies, actuation), touches)
+    following = detect_contacts(bodies.position, bodies.radius, walls, segments, exclusions, memory.cells, buffer)
     if actuation is not None:
         following = without_passed(following, bodies, segments, actuation, log.progress)
         if passed >= 0:

@@ -13,22 +13,16 @@ import numpy as np
 
 from deep_contact.compiled import njit
 from deep_contact.state import html
-from deep_contact.state.arrays import Bodies, Contacts
+from deep_contact.state.arrays import Contacts
 from deep_contact.state.equality import by_value
 from deep_contact.state.materials import largest
 from deep_contact.state.scales import ContactScales
 from deep_contact.state.state import State
 from deep_contact.stepping.broad_phase import make_cells
-from deep_contact.stepping.contacts import Walls, detect_contacts, make_contacts
+from deep_contact.stepping.contacts import Exclusions, Walls, detect_contacts, make_contacts
 from deep_contact.stepping.convergence import ConvergenceRecord, convergence_record
 from deep_contact.stepping.impacts import rebound
-from deep_contact.stepping.inputs import (
-    actuation_of,
-    friction_with_rolling,
-    leaves_tangents_out,
-    reach_of,
-    step_input,
-)
+from deep_contact.stepping.inputs import friction_with_rolling, leaves_tangents_out, reach_of, step_input
 from deep_contact.stepping.interface import entry_of, make_workspace, relax
 from deep_contact.stepping.motion import integrate_velocities
 from deep_contact.stepping.pairs import barred_pairs
@@ -162,9 +156,9 @@ def contacts_of(state: State) -> Contacts:
     bodies, world, scales = state.bodies, state.world, state.scales
     segments = segments_in_grid(world, reach_of(state, scales)) if world.segments else None
     walls, n = Walls(world.box, scales.wall_skin), bodies.count
-    touches = None if world.is_uniform else barred_pairs(state)
-    cells, buffer = make_cells(n), make_contacts(4 * n + 64)
-    found = detect_contacts(Bodies(*bodies[:6]), walls, segments, touches, actuation_of(state), cells, buffer)
+    mass, touches = bodies.mass if bodies.is_fixed.any() else None, None if world.is_uniform else barred_pairs(state)
+    exclusions, cells, buffer = Exclusions(mass, touches), make_cells(n), make_contacts(4 * n + 64)
+    found = detect_contacts(bodies.position, bodies.radius, walls, segments, exclusions, cells, buffer)
     # The first five arrays are copied, since they lie in a larger buffer. The four arrays of impulses are set to zero.
     return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
 

@@ -12,7 +12,6 @@ import numpy as np
 from deep_contact.compiled import njit
 from deep_contact.state.arrays import WALL_NORMALS
 from deep_contact.stepping.contacts import wall_gap
-from deep_contact.stepping.context import walls_of
 from deep_contact.stepping.segments import clamp_beside, clamp_beside_moving, may_cross
 
 
@@ -52,14 +51,15 @@ def clamp_to_box(bodies, walls, solved):
 
 
 @njit(cache=True)
-def clamp_inside(substep, before, segments, solved, actuation):
+def clamp_inside(bodies, before, walls, segments, solved, touches, actuation, dt):
     """Clamp centres to the inside of the box and to their side of segments, in place (`clamp_to_box`, `clamp_beside`).
 
-    substep: `StepInput` of the substep. before: positions at its start, (n, 2), m, from `positions_before`; read only
-    if there are segments. segments: `Segments` at its end. solved: contacts at the positions before. actuation:
-    `Actuation` of the substep, or None. Returns the index of a circle over which a moving segment passes, or −1.
+    before: positions at the start of the substep, (n, 2), m, from `positions_before`; read only if there are segments.
+    segments: `Segments` at its end. solved: contacts at the positions before. touches: `StepInput.touches`. actuation:
+    `Actuation` of the substep, or None. dt: Δt of the substep, s. Returns the index of a circle over which a moving
+    segment passes, or −1.
     """
-    bodies, walls, touches, passed = substep.bodies, walls_of(substep), substep.touches, np.int64(-1)
+    passed = np.int64(-1)
     if any_outside(bodies.position, walls.box):
         clamp_to_box(bodies, walls, solved)
     if segments is not None:
@@ -68,7 +68,7 @@ def clamp_inside(substep, before, segments, solved, actuation):
     if actuation is not None:
         # Bodies at rest are treated last, so that they have priority over moving ones. `clamp_beside` moves a centre to
         # a point between two points in the box, which lies in the box too.
-        changed, passed = clamp_beside_moving(bodies, before, segments, solved, touches, actuation, substep.dt)
+        changed, passed = clamp_beside_moving(bodies, before, segments, solved, touches, actuation, dt)
         if any_outside(bodies.position, walls.box):
             clamp_to_box(bodies, walls, solved)
             changed = True
