@@ -20,7 +20,11 @@ def test_interpreted_functions_compute_what_the_compiled_ones_do(kind):
 
 @pytest.mark.parametrize(
     ("name", "slowest"),
-    [("test_pairs.py", "resting or solver1 or options1"), ("test_rolling.py", "collapses or solver1")],
+    [
+        ("test_pairs.py", "resting or solver1 or options1"),
+        ("test_rolling.py", "collapses or solver1"),
+        ("test_random_scenes.py", "all_features or 4 or 5"),
+    ],
 )
 def test_laws_of_materials_hold_in_interpreted_steps(name, slowest):
     """Without large piles and most runs of BatchedPGS. It divides by 0 in lanes that nothing uses."""
