@@ -10,8 +10,8 @@ solvers, or a preset. It is run for 30 steps in several ways (`findings`), which
 * with the materials relabelled by a permutation.
 
 Islands that sleep wake where a run is divided. With sleep, runs through files are therefore compared with a run in two
-calls. Furthermore, contacts must not make energy: the energy that they have dissipated since the start must not be
-below −1 % of the scene's energies (`gained`).
+calls. Furthermore, contacts must not make energy: between no two states may it be more than 0.2 % of the scene's
+energies (`gained`).
 
 By default Numba's compiler is switched off, since the scenes need dozens of kinds of steps. --compiled: take two kinds
 of steps alone, with all features, and compile them.
@@ -32,12 +32,14 @@ from pathlib import Path
 if __name__ == "__main__" and "--compiled" not in sys.argv:
     os.environ["NUMBA_DISABLE_JIT"] = "1"  # before Numba is imported
 
+import numba
 import numpy as np
 
 import deep_contact as dc
 from deep_contact.io.files import write_json
 from deep_contact.io.provenance import provenance
 from deep_contact.io.simulation_h5 import write_simulation
+from deep_contact.stepping import impacts
 from deep_contact.stepping.interface import entry_of
 
 STEPS = 30
@@ -53,9 +55,12 @@ SOLVERS = (
 WITH_ALL = dc.PGS(**FEW, most_substeps=4), dc.BatchedPGS(**FEW, most_substeps=4)
 PRESETS = "preview", "fast", "balanced"
 TABLES = "friction", "restitution", "rolling_friction", "touches"
-ENERGY = 0.01
+ENERGY = 0.002
 """Largest share of a scene's energies (`gained`) by which contacts may increase its energy. Position correction lifts
-circles, and the velocities of rebounds belong to another time than those of solves."""
+circles, and belts work, which `Trajectory.work` leaves out."""
+INTERPRETED_STRIKES = 1000
+"""`impacts.ALWAYS_STRIKES` in interpreted steps. Where a moving segment squeezes a circle against a peg at e near 1,
+and friction holds it there, rebounds never end, and a step does all that it may: 3 ms compiled, seconds interpreted."""
 
 
 MOST_SECONDS = 30.0
@@ -178,14 +183,15 @@ def difference(one: dc.State, other: dc.State, *, labels: bool = True) -> str:
 
 
 def gained(run, scene: dc.State) -> float:
-    """Most energy that contacts have made since the start of a recorded run, over the energies of the scene.
+    """Most energy that contacts have made between two states of a recorded run, over the energies of the scene.
 
     These are the largest kinetic energy, the size of the work, and the weight of the circles times their mean radius.
     """
     path, bodies = run.trajectory, scene.bodies
     weight = np.hypot(*scene.world.gravity) * bodies.free_mass.sum() * bodies.radius.mean()
     scale = path.energies[:, 0].max() + np.abs(path.work).max() + weight
-    return float(-np.cumsum(path.dissipated).min(initial=0.0) / scale)
+    taken = np.concatenate([[0.0], np.cumsum(path.dissipated)])
+    return float((np.maximum.accumulate(taken) - taken).max() / scale)
 
 
 def findings(seed: int, folder: Path, *, has_all: bool = False) -> tuple[dict[str, str], float]:
@@ -193,6 +199,8 @@ def findings(seed: int, folder: Path, *, has_all: bool = False) -> tuple[dict[st
 
     folder: for the files.
     """
+    if numba.config.DISABLE_JIT:
+        impacts.ALWAYS_STRIKES = INTERPRETED_STRIKES
     scene, options = random_scene(seed, has_all=has_all)
     found, sleeps = {}, options.get("sleep", False)
 
