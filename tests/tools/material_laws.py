@@ -87,6 +87,11 @@ def janssen_k(load: float, weight: float, height: float, friction: float) -> flo
     return brentq(excess, 1e-4, 50.0)
 
 
+def known(value) -> float | None:
+    """The number, or None in place of NaN."""
+    return None if np.isnan(value) else float(value)
+
+
 def one_silo(height: int, walls: str, friction: float, seed: int, settle: int, steps: int) -> dict:
     """K and the numbers that it follows from: means over the last `steps` steps, in four parts."""
     state = silo(height, walls, friction, seed)
@@ -109,8 +114,8 @@ def one_silo(height: int, walls: str, friction: float, seed: int, settle: int, s
     speed = np.hypot(*(end.velocity[~is_glued] - (0.0, -SINKS)).T)
     return {
         "height": height, "walls": walls, "friction": friction, "seed": seed, "discs": int((~is_glued).sum()),
-        "filled": h, "floor over weight": float(floor.mean() / weight), "mobilised": float(mobilised.mean()),
-        "K": float(np.mean(ks)), "K of parts": ks, "median speed": float(np.median(speed)),
+        "filled": h, "floor over weight": float(floor.mean() / weight), "mobilised": known(mobilised.mean()),
+        "K": known(np.mean(ks)), "K of parts": [*map(known, ks)], "median speed": float(np.median(speed)),
     }  # fmt: skip
 
 

@@ -284,7 +284,8 @@ def main() -> None:
     print("most energy made, of the scene's:", [(one, float(f"{energies[one]:.2g}")) for one in largest])
     if args.out:
         kind = "compiled" if args.compiled else "interpreted"
-        record = {"kind": kind, "first": args.first, "scenes": len(energies), "findings": wrong, "energy": energies}
+        found = {"findings": {str(key): value for key, value in wrong.items()}, "energy": list(energies.values())}
+        record = {"kind": kind, "first": args.first, "scenes": len(energies)} | found
         write_json(args.out, record | {"provenance": provenance(wall_s=time.monotonic() - begun)})
 
 
