@@ -10,8 +10,8 @@ solvers, or a preset. It is run for 30 steps in several ways (`findings`), which
 * with the materials relabelled by a permutation.
 
 Islands that sleep wake where a run is divided. With sleep, runs through files are therefore compared with a run in two
-calls. Furthermore, contacts must not make energy: between no two states may it be more than 0.2 % of the scene's
-energies (`gained`).
+calls. Furthermore, contacts must not make energy: between no two states may it be more than 0.5 % of the scene's
+energies (`gained`), without belts and without carried impulses.
 
 By default Numba's compiler is switched off, since the scenes need dozens of kinds of steps. --compiled: take two kinds
 of steps alone, with all features, and compile them.
@@ -55,9 +55,9 @@ SOLVERS = (
 WITH_ALL = dc.PGS(**FEW, most_substeps=4), dc.BatchedPGS(**FEW, most_substeps=4)
 PRESETS = "preview", "fast", "balanced"
 TABLES = "friction", "restitution", "rolling_friction", "touches"
-ENERGY = 0.002
+ENERGY = 0.005
 """Largest share of a scene's energies (`gained`) by which contacts may increase its energy. Position correction lifts
-circles, and belts work, which `Trajectory.work` leaves out."""
+circles, and in a divided step velocities at a rebound belong to another time than `Trajectory.dissipated` takes."""
 INTERPRETED_STRIKES = 1000
 """`impacts.ALWAYS_STRIKES` in interpreted steps. Where a moving segment squeezes a circle against a peg at e near 1,
 and friction holds it there, rebounds never end, and a step does all that it may: 3 ms compiled, seconds interpreted."""
@@ -237,7 +237,9 @@ def findings(seed: int, folder: Path, *, has_all: bool = False) -> tuple[dict[st
     check("labels", run(relabelled(scene, order)).state, whole, labels=False)
     recorded = run(scene, record=1, forces=True)
     check("recorded", recorded.state, whole)
-    return found, gained(recorded, scene)
+    # The work of belts is not counted, and six sweeps leave a part of the impulses that a jam carried to the next step.
+    still = scene.replace(world=replace(scene.world, surface_speeds=()))
+    return found, gained(run(still, record=1, warm_start=None), scene)
 
 
 def told(scene: dc.State, options: dict) -> str:
