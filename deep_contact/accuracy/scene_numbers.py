@@ -152,7 +152,8 @@ def _measured(position, velocity, mass, radius, up):
             if mass[i] / radius[i] ** 2 > middle:
                 heights += height
                 dense += 1
-        layers = (heights / dense - (all_heights - heights) / (n - dense)) / (high - low)
+        if 0 < dense < n:  # densities that differ by rounding may all be on one side of their mean
+            layers = (heights / dense - (all_heights - heights) / (n - dense)) / (high - low)
     return (
         largest / smallest, lightest, heaviest / lightest, densest / lightest_density, layers,
         math.sqrt(fastest), squares, high - low, right - left,

@@ -289,7 +289,7 @@ def do_substep_in_batches(context, workspace, log, actuation):
         batches.store_block(plan, tiles, solved, block, substep.substeps)
     # Positions: segments and circles move, and position correction follows.
     if actuation is not None:
-        log_work(substep, solved, velocities, log)
+        log_work(substep, solved, velocities, batches.work_of_rolling(substep.friction, plan, tiles, bodies), log)
         batches.move_points(plan, tiles, substep.dt)
         segments = moved_segments(segments, actuation, substep.dt)
     before = positions_before(bodies, segments)

@@ -165,6 +165,25 @@ def roll_lanes(rolling, t, spins, inverse_masses, old_n, theta):
     return (a_s - w_a * turn_a * (p + p), b_s + w_b * turn_b * (p + p)), most(theta, change)
 
 
+def work_of_rolling(friction, plan, tiles, bodies) -> float:
+    """Return the work of fixed circles on free circles by rolling resistance, J, as `rows.work_of_rolling` does."""
+    return work_of_tiles(plan, tiles, bodies.mass, bodies.spin) if is_rough(friction) else 0.0
+
+
+@njit(cache=True)
+def work_of_tiles(plan, tiles, mass, spin):
+    """Do `work_of_rolling` for tiles with rolling resistance. mass, spin: of the circles, (n,), kg and rad/s."""
+    work, n = 0.0, mass.shape[0]
+    for t in range(plan.count[TILES]):
+        for j in range(WIDTH):
+            a, b = tiles.body[t, BODY_A, j], tiles.body[t, BODY_B, j]
+            if a < n and mass[a] == np.inf:
+                work += tiles.rolling[t, ROLLED, j] * spin[a]
+            if b < n and mass[b] == np.inf:
+                work -= tiles.rolling[t, ROLLED, j] * spin[b]
+    return work
+
+
 @overload(tile_friction)
 def _overload_tile_friction(friction, column, t):
     if is_table_type(friction):
@@ -200,6 +219,13 @@ def _overload_write_tile_friction(friction, tiles, t, j, bodies, radius):
 
     choices = {(False, False): nothing, (True, False): of_table, (False, True): of_rolling, (True, True): of_both}
     return choices[is_table_type(friction), is_rough_type(friction)]
+
+
+@overload(work_of_rolling)
+def _overload_work_of_rolling(friction, plan, tiles, bodies):
+    if is_rough_type(friction):
+        return lambda friction, plan, tiles, bodies: work_of_tiles(plan, tiles, bodies.mass, bodies.spin)
+    return lambda friction, plan, tiles, bodies: 0.0
 
 
 @njit(cache=True)

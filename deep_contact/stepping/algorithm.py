@@ -28,7 +28,14 @@ from deep_contact.stepping.log import (
 from deep_contact.stepping.motion import integrate_positions, integrate_velocities
 from deep_contact.stepping.passing import without_passed
 from deep_contact.stepping.position_correction import correct_positions
-from deep_contact.stepping.rows import apply_impulses, contact_rows, move_walls, store_impulses, with_wall_bodies
+from deep_contact.stepping.rows import (
+    apply_impulses,
+    contact_rows,
+    move_walls,
+    store_impulses,
+    with_wall_bodies,
+    work_of_rolling,
+)
 from deep_contact.stepping.segment_grid import moved_segments
 from deep_contact.stepping.segments import positions_before
 from deep_contact.stepping.stay_inside import clamp_inside
@@ -99,7 +106,7 @@ def do_substep(context, sleep, log, actuation):
     sleeping.store_awake_impulses(active, contacts, sleep)
     # Positions: of segments and of circles, and position correction.
     if actuation is not None:
-        log_work(substep, active, solver_bodies, log)
+        log_work(substep, active, solver_bodies, work_of_rolling(friction, rows, bodies), log)
         segments = moved_segments(segments, actuation, substep.dt)
     before = positions_before(bodies, segments)
     if not integrate_positions(bodies, solver_bodies, substep, segments, actuation, log.shifts):

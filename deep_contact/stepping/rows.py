@@ -178,6 +178,28 @@ def roll_all(rows, v):
             v[a, V_S], _ = roll(rows.body, rows.data, rows.impulse, i, v, v[a, V_S], masses, 0.0)
 
 
+def work_of_rolling(friction, rows, bodies) -> float:
+    """Return the work of fixed circles on free circles by rolling resistance, J; 0 if there are no rolling rows.
+
+    A fixed circle that turns at ω does the work −ω τ Δt, where τ Δt is the torque impulse on it: λ_r if it is the
+    second body, and −λ_r if it is the first. friction: as in `StepInput`. bodies: `Bodies`.
+    """
+    return work_of_rows(rows.body, rows.impulse, bodies.mass, bodies.spin) if is_rough(friction) else 0.0
+
+
+@njit(cache=True)
+def work_of_rows(body, impulse, mass, spin):
+    """Do `work_of_rolling` for rows with rolling resistance. mass, spin: of the circles, (n,), kg and rad/s."""
+    work, n = 0.0, mass.shape[0]
+    for i in range(body.shape[0]):
+        a, b = body[i, BODY_A], body[i, BODY_B]
+        if mass[a] == np.inf:
+            work += impulse[i, ROLL] * spin[a]
+        if b < n and mass[b] == np.inf:
+            work -= impulse[i, ROLL] * spin[b]
+    return work
+
+
 @overload(friction_of)
 def _overload_friction_of(friction, data, i):
     if is_table_type(friction):
@@ -233,6 +255,13 @@ def _overload_start_rolling(friction, rows, v):
     if is_rough_type(friction):
         return lambda friction, rows, v: roll_all(rows, v)
     return lambda friction, rows, v: None
+
+
+@overload(work_of_rolling)
+def _overload_work_of_rolling(friction, rows, bodies):
+    if is_rough_type(friction):
+        return lambda friction, rows, bodies: work_of_rows(rows.body, rows.impulse, bodies.mass, bodies.spin)
+    return lambda friction, rows, bodies: 0.0
 
 
 def frictions(rows: Rows, friction) -> float | np.ndarray:

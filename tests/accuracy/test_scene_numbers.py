@@ -35,6 +35,13 @@ def test_numbers_of_three_circles_by_hand():
     assert found.layers == pytest.approx(-5.0 / 6.0)
 
 
+@pytest.mark.parametrize("seed", [1, 15, 16])
+def test_densities_that_differ_by_rounding_make_no_layers(seed):
+    found = scene_numbers(dc.lattice_in_box(5, radius=(0.7, 1.0), seed=seed))
+    assert found.density_ratio == pytest.approx(1.0, abs=1e-12)
+    assert found.layers == 0.0
+
+
 @pytest.mark.parametrize(
     ("gravity", "box_width"), [((9.81, 0.0), 30.0), ((-2.0, 1.0), 30.0), ((0.0, 9.81), 20.0), ((0.0, 0.0), 20.0)]
 )
