@@ -321,6 +321,7 @@ def table(data):
 def installed(data: Mapping, cpu: str) -> dict:
     """Return the table that the presets read: settings with errors and times by number of circles and kind of scene.
 
+    An error is a pair: its value and the upper end of its interval.
     cpu: name of the processor on which the times were measured.
     """
     settings: dict = {}
@@ -332,7 +333,7 @@ def installed(data: Mapping, cpu: str) -> dict:
         new |= {"us": {}, "errors": {}}
         entry, n = settings.setdefault(row["name"], new), str(row["n_bodies"])
         entry["us"].setdefault(n, {})[row["kind"]] = round(row["us"], 2)
-        errors = {key: runs.rounded(value[0]) for key, value in row["errors"].items() if value}
+        errors = {key: list(runs.with_upper(value)) for key, value in row["errors"].items() if value}
         entry["errors"].setdefault(n, {})[row["kind"]] = errors
     kinds: dict[str, list] = {}
     for n, kind in sorted({(row["n_bodies"], row["kind"]) for row in data["rows"]}):

@@ -68,6 +68,14 @@ MARGIN = 0.85
 """Share of the tolerances within which the errors of a setting should be in the study. The study has few seeds of a few
 scenes, so that its errors are uncertain."""
 
+CERTAIN = ("accurate", "reference")
+"""Names of the presets that are kept by the interval: the upper ends of a setting's errors should be within the
+tolerances too. Whoever names one of them wants to be sure."""
+
+UPPER_ENDS = (1.0, 1.25, 1.5, 2.0)
+"""Shares of the tolerances within which the upper ends should be for these presets. The first share that any setting
+keeps is taken. The study has so few seeds that the first share is often out of reach."""
+
 KNOWN = 1.0
 """Largest error, %, that a setting may have in motions with known answers (`run_tradeoff.py`). Presets use no setting
 with a larger error."""
@@ -125,11 +133,12 @@ class Recommendation:
     accuracy: name of the preset. solver: options of the solver (`solvers`), with the number of substeps. warm_start:
     name of the start. us: wall time of a step of `dt` on the processor `cpu`, μs, the mean over a run. dt: Δt of the
     scene, s. n_bodies: number of circles in the scene. errors: name of an error -> its largest value in the study, over
-    the kinds of scenes like this scene and the two sizes around `n_bodies`. tolerances: name of an error -> tolerance
-    of the preset. reached: whether all errors are within the tolerances; if not, no setting is within them, and this
-    setting comes nearest. outside: sentences on properties of the scene that the study did not measure; empty if there
-    are none. cheaper, better: text on the setting of the next looser and of the next tighter preset, with its cost;
-    empty if there is no such preset.
+    the kinds of scenes like this scene and the two sizes around `n_bodies`. upper: name of an error -> the largest
+    upper end of its intervals, over the same scenes. tolerances: name of an error -> tolerance of the preset. reached:
+    whether all errors are within the tolerances; if not, no setting is within them, and this setting comes nearest.
+    outside: sentences on properties of the scene that the study did not measure; empty if there are none. cheaper,
+    better: text on the setting of the next looser and of the next tighter preset, with its cost; empty if there is no
+    such preset.
     """
 
     accuracy: str
@@ -140,6 +149,7 @@ class Recommendation:
     n_bodies: int
     cpu: str
     errors: dict
+    upper: dict
     tolerances: dict
     reached: bool
     outside: tuple[str, ...] = ()
@@ -156,10 +166,17 @@ class Recommendation:
         percent = {name: "" if name == "contacts" else " %" for name in self.errors}
         errors = ", ".join(f"{name} {self.errors[name]:.2g}{percent[name]} ({most:g})" for name, most in known)
         yield "errors of a run (tolerances)", errors
+        if self.accuracy in CERTAIN and self.reached and (unsure := self._unsure()):
+            yield "uncertain with the seeds of the study", unsure
         yield from (("outside of the study", sentence) for sentence in self.outside)
         if self.outside or not self.reached:
             yield "what to do", _way_out(self.us)
         yield from ((name, text) for name, text in (("cheaper", self.cheaper), ("better", self.better)) if text)
+
+    def _unsure(self) -> str:
+        """Return a text with the errors whose upper ends exceed their tolerances. It is empty if there are none."""
+        over = ((name, self.upper[name], most) for name, most in self.tolerances.items() if name in self.upper)
+        return ", ".join(f"{name} up to {high:.2g} ({most:g})" for name, high, most in over if high > most)
 
     def __str__(self) -> str:
         return "\n  ".join(f"{name}: {text}" for name, text in self._rows())
@@ -183,7 +200,7 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
     candidates = _candidates(*_case(numbers, stiff))
     if budget_ms is None:
         name = one_of("accuracy", accuracy or "fast", PRESETS)
-        best = cheapest(candidates, PRESETS[name])
+        best = cheapest(candidates, name)
     else:
         limit = 1e3 * number("budget_ms", budget_ms, above=0)
         affordable = [one for one in candidates if one["us"] <= limit]
@@ -197,8 +214,8 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
     cheaper, better = (_neighbour(other, best, candidates) for other in (names[at - 1], names[at + 1]))
     return Recommendation(
         accuracy=name, solver=best["solver"], warm_start=best["start"], us=best["us"], dt=numbers.dt,
-        n_bodies=numbers.count, cpu=installed()["cpu"], errors=best["errors"], tolerances=tolerances,
-        reached=excess(best["errors"], tolerances) <= 1, outside=tuple(outside(numbers, stiff)),
+        n_bodies=numbers.count, cpu=installed()["cpu"], errors=best["errors"], upper=best["upper"],
+        tolerances=tolerances, reached=excess(best["errors"], tolerances) <= 1, outside=tuple(outside(numbers, stiff)),
         cheaper=cheaper, better=better,
     )  # fmt: skip
 
@@ -211,7 +228,7 @@ def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
     """
     if not accuracy:
         return ""
-    other = cheapest(candidates, PRESETS[accuracy])
+    other = cheapest(candidates, accuracy)
     if other["solver"] == best["solver"]:
         return f"{accuracy} is the same here"
     return f"{accuracy}, {describe(other['solver'])}, {other['us'] / best['us']:.2g} times the time"
@@ -282,7 +299,7 @@ def _chosen(accuracy: str, sleep: bool, *case) -> dict:
     the arguments of `_candidates`, which describe the scene.
     """
     candidates = [one for one in _candidates(*case) if not sleep or entry_of(one["solver"]).can_sleep]
-    return cheapest(candidates, PRESETS[accuracy])
+    return cheapest(candidates, accuracy)
 
 
 @functools.cache
@@ -310,15 +327,21 @@ def parts_for(numbers: SceneNumbers, dt: float) -> int:
     return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
 
 
-def keeping(candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True) -> list[dict]:
-    """Return the candidates whose "errors" are within the tolerances.
+def keeping(candidates: list[dict], accuracy: str, *, margin: bool = True) -> list[dict]:
+    """Return the candidates that keep a preset: their "errors" are within its tolerances.
 
-    margin: whether candidates whose errors are within `MARGIN` times the tolerances are returned alone, if there are
-    any.
+    accuracy: name of the preset. margin: whether to prefer candidates. Preferred are candidates whose errors are within
+    `MARGIN` times the tolerances. For a preset of `CERTAIN`, those of them are preferred whose upper ends, "upper", are
+    within the first possible share of `UPPER_ENDS`. If there are preferred candidates, these are returned alone.
     """
-    shares = (MARGIN, 1.0) if margin else (1.0,)
-    kept = ([one for one in candidates if excess(one["errors"], tolerances) <= most] for most in shares)
-    return next(filter(None, kept), [])
+    tolerances = PRESETS[accuracy]
+    kept = [one for one in candidates if excess(one["errors"], tolerances) <= 1.0]
+    if not margin:
+        return kept
+    with_margin = [one for one in kept if excess(one["errors"], tolerances) <= MARGIN]
+    shares = UPPER_ENDS if accuracy in CERTAIN else ()
+    certain = ([one for one in with_margin if excess(one["upper"], tolerances) <= share] for share in shares)
+    return next(filter(None, (*certain, with_margin)), kept)
 
 
 def excess(errors: Mapping[str, float | None], tolerances: Mapping[str, float]) -> float:
@@ -327,14 +350,14 @@ def excess(errors: Mapping[str, float | None], tolerances: Mapping[str, float]) 
     return max((value / most for value, most in known if value is not None), default=0.0)
 
 
-def cheapest(candidates: list[dict], tolerances: Mapping[str, float]) -> dict:
-    """Return the cheapest of the candidates that `keeping` returns for the tolerances: the one with the smallest "us".
+def cheapest(candidates: list[dict], accuracy: str) -> dict:
+    """Return the cheapest of the candidates that keep a preset (`keeping`): the one with the smallest "us".
 
-    If there is none, return the candidate whose errors come nearest to the tolerances.
+    If there is none, return the candidate whose errors come nearest to the tolerances. accuracy: name of the preset.
     """
-    if kept := keeping(candidates, tolerances):
+    if kept := keeping(candidates, accuracy):
         return min(kept, key=lambda one: one["us"])
-    return min(candidates, key=lambda one: (excess(one["errors"], tolerances), one["us"]))
+    return min(candidates, key=lambda one: (excess(one["errors"], PRESETS[accuracy]), one["us"]))
 
 
 def _case(numbers: SceneNumbers, stiff: Stiffness | None) -> tuple:
@@ -353,9 +376,10 @@ def _time_steps() -> list[float]:
 def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff, rolls: bool) -> list[dict]:
     """Return every setting of the study for n circles of these kinds: its solver, start, cost and errors.
 
-    A candidate has "solver", "start", "us" (μs for a step of the scene's Δt), "errors" and "dt" (time step of the
-    setting, s). Errors are the largest over the two sizes of the study around n, and over the kinds. Times are those of
-    the slowest kind, interpolated between the sizes by a power law.
+    A candidate has "solver", "start", "us" (μs for a step of the scene's Δt), "errors", "upper" (upper ends of the
+    intervals of the errors) and "dt" (time step of the setting, s). Errors and upper ends are the largest over the two
+    sizes of the study around n, and over the kinds. Times are those of the slowest kind, interpolated between the sizes
+    by a power law.
 
     substeps: pairs of a time step of the study, s, and the number of substeps into which it divides the scene's Δt.
     stiff: None, or the solver for a scene that a few sweeps cannot solve (`stiffness`), which is then the only
@@ -372,7 +396,8 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff, rolls: 
             continue  # Large piles, and kinds other than "plain", were run with fewer settings.
         alike = [setting["errors"][size][kind] for size in (low, high) for kind in kinds]
         names = dict.fromkeys(name for one in alike for name in one)
-        errors = {name: max(one[name] for one in alike if name in one) for name in names}
+        pairs = {name: [one[name] for one in alike if name in one] for name in names}
+        errors, upper = ({name: max(of[end] for of in several) for name, several in pairs.items()} for end in (0, 1))
         times = {int(size): max(setting["us"][size][kind] for kind in kinds) for size, kept in measured.items() if kept}
         k, options = parts[setting["dt"]], dict(setting["options"])
         us, start = k * _us_at(n, times) * setting["dt"] / TIME_STEP, options.pop("start", "builtin")
@@ -380,13 +405,14 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff, rolls: 
         if rolls and not entry_of(solver).rolls:
             continue
         solver = replace(solver, substeps=k, most_substeps=solver.most_substeps and k * solver.most_substeps)
-        candidates.append({"solver": solver, "start": start, "us": us, "errors": errors, "dt": setting["dt"]})
+        found = {"solver": solver, "start": start, "us": us, "errors": errors, "upper": upper, "dt": setting["dt"]}
+        candidates.append(found)
     if stiff is None:
         return candidates
     best = min(candidates, key=lambda one: excess(one["errors"], PRESETS["reference"]))
     each = min(one["us"] / (one["solver"].sweeps * one["solver"].substeps) for one in candidates)
     us = each * stiff.sweeps * stiff.substeps
-    return [{"solver": stiff, "start": "builtin", "us": us, "errors": best["errors"], "dt": TIME_STEP}]
+    return [best | {"solver": stiff, "start": "builtin", "us": us, "dt": TIME_STEP}]
 
 
 def _near(n: int, kinds: Sequence[str]) -> tuple[set[str], str, str]:

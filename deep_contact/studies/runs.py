@@ -286,8 +286,8 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
     * "ratio": [value, low, high], the time of the fastest other engine over the time of this package, for plain piles.
 
     A setting is {"name", "us", "times", "seeds"}, or None if none is within the tolerances. For this package it is the
-    setting that `simulate(accuracy=…)` takes, which leaves a margin to the tolerances (`presets.keeping`). For another
-    engine no margin is required.
+    setting that `simulate(accuracy=…)` takes. It leaves a margin to the tolerances, and some presets look at the upper
+    ends of intervals too (`presets.keeping`). For another engine neither is required.
 
     The value of the ratio is the median over the processes that measured times. Errors have confidence intervals, and
     low and high show their effect. For low, settings are chosen a second time, with our errors at the upper bounds of
@@ -297,13 +297,18 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
     """
     known = [row for row in rows if row["us"] is not None and row["errors"] and row.get("known", 0.0) <= KNOWN]
 
+    def of(row, at):
+        found = {name: error for name, error in row["errors"].items() if error}
+        upper = {name: with_upper(error)[1] for name, error in found.items()}
+        return {"errors": {name: rounded(error[at]) for name, error in found.items()}, "upper": upper}
+
     def cheapest(n, engine, preset, kind="plain", at=0):
         candidates = [
-            row | {"errors": {name: rounded(error[at]) for name, error in row["errors"].items() if error}}
+            row | of(row, at)
             for row in known
             if (row["n_bodies"], row["kind"], row["setting"].get("engine")) == (n, kind, engine)
         ]
-        kept = keeping(candidates, PRESETS[preset], margin=engine is None and at == 0)
+        kept = keeping(candidates, preset, margin=engine is None and at == 0)
         best = min(kept, key=lambda one: one["us"], default=None)
         return best and {key: best[key] for key in ("name", "us", "times", "seeds")}
 
@@ -340,6 +345,15 @@ def rounded(error: float) -> float:
     The table of the presets has errors with three digits. So the table and the study choose the same settings.
     """
     return float(f"{error:.3g}")
+
+
+def with_upper(error: Sequence[float]) -> tuple[float, float]:
+    """Return (value, upper end) of an error, `rounded`. error: (value, low, high) of `errors.intervals`.
+
+    A bootstrap interval by percentiles may end below the value. The upper end is then the value.
+    """
+    value, _, high = error
+    return rounded(value), rounded(max(value, high))
 
 
 def sizes_of(rows: Iterable[Mapping]) -> list[int]:
