@@ -433,10 +433,15 @@ def kinds_of(numbers: SceneNumbers) -> list[str]:
 
     Scenes with segments, a dam or two densities need better settings than piles, and the study ran them with settings
     that it did not run on piles. A scene with one of these features therefore does not count as a pile.
+
+    Segments at rest that leave no opening for a circle are a terrain. With an opening, the scene lies between a terrain
+    and a hopper.
     """
     if numbers.gravity == 0.0:
         return ["gas"]
-    walls = ["drum"] if numbers.is_dragged else ["terrain", "hopper"] if numbers.still else []
+    smallest = numbers.radius / numbers.radius_ratio  # or larger
+    ground = ["terrain", "hopper"] if numbers.opening > 2.0 * smallest else ["terrain"]
+    walls = ["drum"] if numbers.is_dragged else ground if numbers.still else []
     walls += ["piston"] if numbers.moving else []
     kinds = [kind for kind in walls if kind in installed()["kinds"]]  # a small study may not have these kinds
     kinds += _of_densities(numbers)
