@@ -328,20 +328,33 @@ def parts_for(numbers: SceneNumbers, dt: float) -> int:
 
 
 def keeping(candidates: list[dict], accuracy: str, *, margin: bool = True) -> list[dict]:
-    """Return the candidates that keep a preset: their "errors" are within its tolerances.
+    """Return the candidates that keep a preset: `within` its tolerances. accuracy: name of the preset."""
+    return within(candidates, PRESETS[accuracy], margin=margin, certain=accuracy in CERTAIN)
 
-    accuracy: name of the preset. margin: whether to prefer candidates. Preferred are candidates whose errors are within
-    `MARGIN` times the tolerances. For a preset of `CERTAIN`, those of them are preferred whose upper ends, "upper", are
-    within the first possible share of `UPPER_ENDS`. If there are preferred candidates, these are returned alone.
+
+def within(
+    candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True, certain: bool = False
+) -> list[dict]:
+    """Return the candidates whose "errors" are within the tolerances, or the preferred of these if there are any.
+
+    margin: whether to prefer candidates, by the order of `preferences`. certain: argument of `preferences`.
     """
-    tolerances = PRESETS[accuracy]
+    groups = preferences(candidates, tolerances, certain=certain)
+    return next(filter(None, groups), []) if margin else groups[-1]
+
+
+def preferences(candidates: list[dict], tolerances: Mapping[str, float], *, certain: bool) -> list[list[dict]]:
+    """Return groups of the candidates whose "errors" are within the tolerances; the first groups are preferred.
+
+    The last group has all of them. The group before it has those whose errors are within `MARGIN` times the tolerances.
+    certain: whether there are groups before that, one for each share of `UPPER_ENDS`: those among them whose upper
+    ends, "upper", are within this share of the tolerances.
+    """
     kept = [one for one in candidates if excess(one["errors"], tolerances) <= 1.0]
-    if not margin:
-        return kept
     with_margin = [one for one in kept if excess(one["errors"], tolerances) <= MARGIN]
-    shares = UPPER_ENDS if accuracy in CERTAIN else ()
-    certain = ([one for one in with_margin if excess(one["upper"], tolerances) <= share] for share in shares)
-    return next(filter(None, (*certain, with_margin)), kept)
+    shares = UPPER_ENDS if certain else ()
+    surer = ([one for one in with_margin if excess(one["upper"], tolerances) <= share] for share in shares)
+    return [*surer, with_margin, kept]
 
 
 def excess(errors: Mapping[str, float | None], tolerances: Mapping[str, float]) -> float:
