@@ -362,7 +362,7 @@ def test_a_run_solved_to_a_tolerance_says_so_once_with_the_price_and_a_plan_prin
         warnings.simplefilter("default")
         for _ in range(2):
             dc.simulate(scene, steps=1)
-    (text,) = (str(one.message) for one in said)
+    (text,) = (str(one.message) for one in said if one.category is presets.PresetWarning)
     most = dc.recommend(scene).us
     assert text.endswith(
         f"120 circles high: solved to a tolerance, which takes up to {most / 1e3:.3g} ms a step of 0.01 s"
