@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from threading import Lock
 from typing import NamedTuple
@@ -153,7 +153,7 @@ class Split(NamedTuple):
     test: tuple[int, ...]
 
 
-def split_by_simulation(sims, *, fractions=(0.8, 0.1, 0.1), seed: int = 0) -> Split:
+def split_by_simulation(sims: Iterable[int], *, fractions: Sequence[float] = (0.8, 0.1, 0.1), seed: int = 0) -> Split:
     """Split simulations at random into training, validation and test sets.
 
     All states of a simulation go to the same set, because they are similar. sims: numbers of the simulations.

@@ -36,6 +36,8 @@ from deep_contact.state.validation import (
 )
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from deep_contact.state.state import State
     from deep_contact.state.world import World
 
@@ -45,7 +47,16 @@ UNIT = 1e-4
 
 @suggesting
 def make_bodies(
-    position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None, fixed=False, material=0
+    position: ArrayLike,
+    *,
+    radius: ArrayLike = 1.0,
+    velocity: ArrayLike = 0.0,
+    angle: ArrayLike = 0.0,
+    spin: ArrayLike = 0.0,
+    density: ArrayLike = 1.0,
+    mass: ArrayLike | None = None,
+    fixed: ArrayLike = False,
+    material: ArrayLike = 0,
 ) -> Bodies:
     """Make circles from their centres. Every other argument is one value for all circles, or one value for each circle.
 

@@ -25,7 +25,7 @@ from deep_contact.parallel import parallel_map, seeds
 from deep_contact.plot import plotting
 from deep_contact.run.one_scene import simulate, solve_contacts
 from deep_contact.scenes import circles_in_box
-from deep_contact.solvers import PGS
+from deep_contact.solvers import PGS, SolverOptions
 from deep_contact.sph.start import Sph, solved_impulses
 from deep_contact.starts.names import Start, WarmStart, warm_start_of
 from deep_contact.state import constants
@@ -84,7 +84,7 @@ CHOSEN = {name: {"spacing": SPACING, "transfer": transfer} for name, transfer in
 
 
 def solved_states(
-    scene: State, *, steps: int, solver=THOROUGH, every: int = 1, contacts_only: bool = True
+    scene: State, *, steps: int, solver: SolverOptions = THOROUGH, every: int = 1, contacts_only: bool = True
 ) -> list[StateWithContacts]:
     """Simulate a scene, and return solved states of the run, one every `every` steps.
 

@@ -33,18 +33,37 @@ def test_a_solver_has_all_its_options_with_their_meanings_those_of_its_base_too(
         assert "see `" not in meaning, option
 
 
+def public_parts(package):
+    """Public names with their objects, and those of the functions and classes in public classes and modules."""
+    for public, (module, name) in lazy.homes(dc.__file__).items():
+        found = package[f"{module}.{name}".removeprefix("deep_contact.")]
+        yield public, found
+        for part, one in found.members.items() if found.is_class or found.is_module else ():
+            if not part.startswith("_") and not one.is_alias:
+                yield f"{public}.{part}", one
+
+
 def test_every_argument_of_a_public_name_has_a_meaning(package):
     """The rows of the tables on the pages of public names: none is empty, as that of `state` once was."""
     rows = []
-    for public, (module, name) in lazy.homes(dc.__file__).items():
-        found = package[f"{module}.{name}".removeprefix("deep_contact.")]
-        parts = found.members if found.is_class or found.is_module else {}
-        public_parts = [one for part, one in parts.items() if not part.startswith("_") and not one.is_alias]
-        for one in (found, *public_parts):
-            text = one.docstring.value if one.docstring else ""
-            rows += [(public, one.name, *row) for row in re.findall(r"^\| `(\**\w+)` \| (.*?) \| ", text, re.MULTILINE)]
+    for label, one in public_parts(package):
+        text = one.docstring.value if one.docstring else ""
+        rows += [(label, *row) for row in re.findall(r"^\| `(\**\w+)` \| (.*?) \| ", text, re.MULTILINE)]
     assert len(rows) > 350
-    assert [row[:3] for row in rows if not row[3].strip()] == []
+    assert [row[:2] for row in rows if not row[2].strip()] == []
+
+
+def test_arguments_with_a_default_have_a_type(package):
+    """Without an annotation, pyright takes the type of the default, and refuses a list of radii."""
+    parameters = [
+        (label, one.name, one.default, one.annotation)
+        for label, found in public_parts(package)
+        if found.is_function or found.is_class
+        for one in found.parameters
+        if one.default not in (None, "None") and not one.kind.value.startswith("variadic")
+    ]
+    assert len(parameters) > 150
+    assert [one[:3] for one in parameters if one[3] is None] == []
 
 
 def test_the_nearest_class_tells_the_meaning_of_an_argument():
