@@ -25,6 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -32,6 +33,7 @@ from deep_contact import figures, parallel
 from deep_contact.analysis import lcp
 from deep_contact.analysis.exact import solve_exactly
 from deep_contact.figures import Claim, Figure
+from deep_contact.io.provenance import commit
 from deep_contact.measure import peers
 from deep_contact.measure.errors import REST, errors, observe
 from deep_contact.measure.setting_runs import states_of
@@ -70,8 +72,9 @@ MEASURES = {
 REACHED = {"velocity error": 0.1, "NCP residual": 0.1}
 """Name of a measure -> value at which a problem counts as solved, in a performance profile."""
 
-OURS = {"ours, PGS": {"method": "PGS", "sweeps": 10}}
-RIVALS = {
+OURS = "ours, PGS"
+ENGINES = {
+    OURS: {"method": "PGS", "sweeps": 10},
     "Box2D 2.3": {"engine": "Box2D 2.3", "sweeps": 10, "position_sweeps": 4},
     "pymunk": {"engine": "pymunk", "sweeps": 10},
     "Box2D v3": {"engine": "Box2D v3", "sweeps": 4},
@@ -118,27 +121,28 @@ def measures_of(problem: lcp.ContactProblem, impulse: np.ndarray, exact: np.ndar
     }
 
 
-def measure(task: tuple) -> dict | None:
-    """Measure all solvers on a problem. task: (arguments of `problem_of`, numbers of sweeps).
+def measure(*, kind: str, phase: str, n_bodies: int, seed: int, after: list[int], **_) -> dict:
+    """Measure all solvers on a problem (`problem_of`) after each number of sweeps in `after`.
 
-    Returns {"problem": the arguments, "contacts": number of contacts, "solvers": name -> measure -> values by sweeps,
-    "left out": rival -> why}, or None if no exact solution was found.
+    Returns {"problem": its arguments, "contacts": number of contacts, "exact": whether an exact solution was found}. If
+    it was, there are "solvers", name -> measure -> values by sweeps, and "left out", rival -> why.
     """
-    case, sweeps = task
+    case = kind, phase, n_bodies, seed
     state = problem_of(*case)
     exact = solve_exactly(state)
+    about = {"problem": list(case), "contacts": state.contacts.count}
     if not exact.converged or not state.contacts.count:
-        return None
+        return about | {"exact": False}
     problem, speed = lcp.contact_problem(state), state.dt * math.hypot(*state.world.gravity)
     true = np.column_stack([exact.solution.velocities, exact.solution.angular_velocities]).ravel()
     nothing, found, why = np.zeros(state.contacts.count), {}, {}
     for name, solver in SOLVERS.items():
-        ends = [solve(state, replace(solver, sweeps=k, tolerance=None), nothing, nothing) for k in sweeps]
+        ends = [solve(state, replace(solver, sweeps=k, tolerance=None), nothing, nothing) for k in after]
         impulses = [np.column_stack([end.normal_impulses, end.tangent_impulses]).ravel() for end in ends]
         found[name] = [measures_of(problem, impulse, true, speed) for impulse in impulses]
     for name, impulses_by in READERS.items():
         try:
-            ends = [impulses_by(state, k) for k in sweeps]
+            ends = [impulses_by(state, k) for k in after]
         except (ImportError, ValueError) as error:
             why[name] = str(error)
             continue
@@ -148,7 +152,7 @@ def measure(task: tuple) -> dict | None:
         else:
             found[name] = [measures_of(problem, impulse, true, speed) for impulse, _ in ends]
     by_measure = {name: {one: [of[one] for of in rows] for one in MEASURES} for name, rows in found.items()}
-    return {"problem": list(case), "contacts": state.contacts.count, "solvers": by_measure, "left out": why}
+    return about | {"exact": True, "solvers": by_measure, "left out": why}
 
 
 def difference(problem: lcp.ContactProblem, impulse: np.ndarray, velocity: np.ndarray, exact: np.ndarray) -> float:
@@ -225,48 +229,53 @@ def velocities_of(engine) -> np.ndarray:
 # ---- self-consistency ----
 
 
-def energy_changes(task: tuple) -> list[float] | str:
-    """Return the error of the energy for each number of steps in Δt, %. task: (setting, splits, n, seeds, seconds).
+def energy_changes(
+    *, setting: Mapping, splits: list[int], n_bodies: int, seeds: list[int], seconds: float, **_
+) -> dict:
+    """Return {"errors": the error of the energy, %, for each number of steps in Δt, or None if a run fails, "why"}.
 
-    The error is that against runs of the same engine with `FINEST` steps in Δt. A message is returned if a run fails.
+    The error is that against runs of the same engine with `FINEST` steps in Δt. setting: setting without its Δt.
+    splits: numbers of steps in Δt. seeds: those of the piles. seconds: duration of a run, s.
     """
-    setting, splits, n, seeds, seconds = task
     frames = max(REST, round(seconds / runs.INTERVAL))
 
     def ensemble(split):
-        scenes = (piles.pile_scene(n, seed) for seed in seeds)
-        each = ((scene, setting | {"dt": scene.dt / split}) for scene in scenes)
+        scenes = (piles.pile_scene(n_bodies, seed) for seed in seeds)
+        each = ((scene, {**setting, "dt": scene.dt / split}) for scene in scenes)
         return [observe(states_of(scene, one, frames, runs.INTERVAL)) for scene, one in each]
 
     try:
         finest = ensemble(FINEST)
-        return [errors(ensemble(split), finest)["energy"] for split in splits]
+        return {"errors": [errors(ensemble(split), finest)["energy"] for split in splits], "why": ""}
     except (ImportError, ValueError, FloatingPointError) as error:
-        return str(error)
+        return {"errors": None, "why": str(error)}
 
 
 def compute(options, seed, jobs, progress):
-    """Measure all solvers on all problems, and the self-consistency of the engines."""
+    """Measure all solvers on all problems, and the self-consistency of the engines.
+
+    The results of finished parts are in the folder `work`, so that a run of the same commit can be resumed.
+    """
+    common, how = {"commit": commit(), "after": options["after"]}, {"work": Path(options["work"]), "jobs": jobs}
     cases = [
-        (kind, phase, int(n), one)
+        common | {"kind": kind, "phase": phase, "n_bodies": int(n), "seed": one}
         for n, count in options["problems"].items()
         for kind in MADE
         for phase in piles.KINDS
         for one in parallel.seeds(seed, count)
     ]
-    tasks = [(case, options["after"]) for case in cases]
-    found = parallel.parallel_map(measure, tasks, jobs=jobs, progress=progress, text="problems")
-    lines = OURS | RIVALS
-    several = options["splits"], options["circles"], parallel.seeds(seed, options["seeds"]), options["seconds"]
-    changes = parallel.parallel_map(
-        energy_changes, [(setting, *several) for setting in lines.values()], jobs=jobs, progress=progress, text="Δt"
-    )
+    found = runs.done("problem", measure, cases, **how)
+    several = {name: options[name] for name in ("splits", "seconds")} | {"n_bodies": options["circles"]}
+    lines = [
+        common | several | {"setting": setting, "seeds": parallel.seeds(seed, options["seeds"])}
+        for setting in ENGINES.values()
+    ]
     return {
         "after": options["after"],
-        "problems": [one for one in found if one],
-        "without an exact solution": sum(one is None for one in found),
+        "problems": [one for one in found if one["exact"]],
+        "without an exact solution": [one["problem"] for one in found if not one["exact"]],
         "splits": options["splits"],
-        "self-consistency": dict(zip(lines, changes)),
+        "self-consistency": dict(zip(ENGINES, runs.done("energy", energy_changes, lines, **how))),
     }
 
 
@@ -334,19 +343,19 @@ def claims(data) -> Iterator[Claim]:
         text = f"one solver here is the first to reach {value:g} of the {measure} in half of the problems"
         yield Claim(text, None, max(ours.values(), default=0.0) >= 0.5, best | solved)
     same = {}
-    for rival in (name for name in names_of(data) if name in RIVALS):
+    for rival in (name for name in names_of(data) if name in ENGINES):
         both = [one["solvers"] for one in data["problems"] if rival in one["solvers"]]
         ratio = [np.divide(*(one[name]["velocity error"] for name in (rival, "PGS"))) for one in both]
         same[rival] = float(np.median(ratio))
     if same:
         text = "a sweep of another engine is worth as much as one of PGS, to a tenth of the velocity error"
         yield Claim(text, None, all(0.9 <= ratio <= 1.1 for ratio in same.values()), same)
-    known = {name: of for name, of in data["self-consistency"].items() if not isinstance(of, str)}
+    known = {name: of["errors"] for name, of in data["self-consistency"].items() if of["errors"]}
     if len(known) > 1:
         at_whole = {name: of[data["splits"].index(1)] for name, of in known.items()}
         least = min(at_whole, key=at_whole.get)
         text = "the step of 10 ms changes the energy of ours less than that of the other engines"
-        yield Claim(text, None, least in OURS, at_whole)
+        yield Claim(text, None, least == OURS, at_whole)
 
 
 def draw(data, options):
@@ -371,10 +380,10 @@ def draw(data, options):
     panels[4].set_xticks([1, 2, 4, 8, 16, 32, 64], ["1", "2", "4", "8", "16", "32", "64"])
     plotting.label_axes(panels[4], "τ, sweeps over those of the best", "share of problems ρ(τ)")
     for name, of in data["self-consistency"].items():
-        if not isinstance(of, str):
+        if of["errors"]:
             mark = plotting.ENGINE_MARKER.get(name)
             look = {"color": plotting.GREY, "marker": mark} if mark else {"color": plotting.BLUE, "marker": "o"}
-            panels[5].plot([10.0 / split for split in data["splits"]], of, label=name, markersize=4, **look)
+            panels[5].plot([10.0 / split for split in data["splits"]], of["errors"], label=name, markersize=4, **look)
     plotting.log_axes(panels[5])
     panels[5].legend(fontsize=6.5)
     plotting.label_axes(panels[5], "Δt", "energy against Δt / 16", x_unit="ms", y_unit="%")
@@ -382,9 +391,8 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "problems": {"100": 4, "300": 1},
-    "after": [1, 2, 3, 4, 6, 8, 10, 14, 20, 28, 40, 56, 80, 100, 160, 230, 320, 450], "circles": 100, "seeds": 8,
-    "splits": [1, 2, 4, 8], "seconds": 4.0,
+    "problems": {"100": 5}, "after": [1, 2, 3, 4, 6, 8, 10, 14, 20, 28, 40, 56, 80, 100, 160, 230, 320, 450],
+    "circles": 100, "seeds": 8, "splits": [1, 2, 4, 8], "seconds": 4.0, "work": "runs/figure_6_18",
 }  # fmt: skip
 QUICK = {"problems": {"30": 1}, "after": [1, 3, 10, 30, 100], "circles": 30, "seeds": 2, "splits": [1, 2],
          "seconds": 3.0}  # fmt: skip

@@ -67,7 +67,7 @@ def test_a_performance_profile_by_hand():
 
 
 def test_a_problem_is_measured_by_every_solver():
-    found = measures.measure((("piles", "settling", 20, 1), [1, 30]))
+    found = measures.measure(kind="piles", phase="settling", n_bodies=20, seed=1, after=[1, 30])
     assert measures.SOLVERS.keys() <= found["solvers"].keys() | found["left out"].keys()
     for name, by_measure in found["solvers"].items():
         assert by_measure.keys() == measures.MEASURES.keys()
@@ -77,7 +77,10 @@ def test_a_problem_is_measured_by_every_solver():
 
 
 def test_runs_of_the_same_step_are_consistent():
-    same, other = measures.energy_changes(({"method": "PGS", "sweeps": 5}, [measures.FINEST, 1], 20, [1], 3.0))
+    common = {"splits": [measures.FINEST, 1], "n_bodies": 20, "seeds": [1], "seconds": 3.0}
+    same, other = measures.energy_changes(setting={"method": "PGS", "sweeps": 5}, **common)["errors"]
     assert same == 0.0
     assert other > 0.1
-    assert "iterations" in measures.energy_changes(({"method": "PGS", "sweeps": 5, "iterations": 1}, [1], 20, [1], 1.0))
+    found = measures.energy_changes(setting={"method": "PGS", "sweeps": 5, "iterations": 1}, **common)
+    assert found["errors"] is None
+    assert "iterations" in found["why"]
