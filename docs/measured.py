@@ -822,7 +822,7 @@ GIVEN: dict[str, list[str]] = {
         *("by at most 1 % of its initial value", "Δt is 10 ms", "below 3 % of a mean radius", "steps of 0.625 ms"),
         *("the lengths are 100 times these, and the speeds 10 times", "a thread works for 10 ms"),
     ],
-    "benchmarks.md": ["ω = 1.5", "61 × 61 nodes", "30 ns a contact and sweep"],
+    "benchmarks.md": ["a velocity error of 0.1", "ω = 1.5", "61 × 61 nodes", "30 ns a contact and sweep"],
     "guide.md": [
         *("0.01 s for r = 1 m", "takes 2.6 GB", "takes 0.6 GB"),
         *("about 1 ms of its own", "a scene took 10 ms", "a task of 10 s"),
