@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact import figures
-from deep_contact.accuracy.presets import CERTAIN, PRESETS, TABLE, excess, preferences
+from deep_contact.accuracy.presets import MARGIN, PRESETS, TABLE, excess, keeping
 from deep_contact.figures import Claim, Figure, results
 from deep_contact.measure.errors import ERRORS
 from deep_contact.measure.settings import name_of
@@ -321,7 +321,6 @@ def table(data):
 def installed(data: Mapping, cpu: str) -> dict:
     """Return the table that the presets read: settings with errors and times by number of circles and kind of scene.
 
-    An error is a pair: its value and the upper end of its interval.
     cpu: name of the processor on which the times were measured.
     """
     settings: dict = {}
@@ -333,7 +332,7 @@ def installed(data: Mapping, cpu: str) -> dict:
         new |= {"us": {}, "errors": {}}
         entry, n = settings.setdefault(row["name"], new), str(row["n_bodies"])
         entry["us"].setdefault(n, {})[row["kind"]] = round(row["us"], 2)
-        errors = {key: list(runs.with_upper(value)) for key, value in row["errors"].items() if value}
+        errors = {key: runs.rounded(value[0]) for key, value in row["errors"].items() if value}
         entry["errors"].setdefault(n, {})[row["kind"]] = errors
     kinds: dict[str, list] = {}
     for n, kind in sorted({(row["n_bodies"], row["kind"]) for row in data["rows"]}):
@@ -354,17 +353,17 @@ def tighter(rows: list[Mapping], *, price: float = 1.0, names: Iterable[str] = U
     rows: rows of the study. price: largest factor by which the tolerances of one error may raise the cost of a preset,
     as the geometric mean over all kinds and numbers of circles. With 1, all settings stay as they are. names: errors
     whose tolerances may change. Each gets the least of `NICE` which is at least that of the next tighter preset, and
-    with which every kind still has a setting that is kept as surely (`presets.preferences`). The errors are taken one
-    by one, and each has to keep the tolerances that were reduced before it.
+    with which every kind still has a setting that is kept with as much margin. The errors are taken one by one, and
+    each has to keep the tolerances that were reduced before it.
     """
     cells = [of for (_, _, engine), of in runs.candidates_by_cell(rows).items() if engine is None]
 
-    def chosen(tolerances, preset):
-        """Return, for each cell, the index of its best group and the least cost in it."""
+    def chosen(tolerances):
+        """Return, for each cell, the margin of its cheapest setting, 2 if none is kept, and its cost."""
         found = []
-        for groups in (preferences(of, tolerances, certain=preset in CERTAIN) for of in cells):
-            first = next((k for k, group in enumerate(groups) if group), len(groups))
-            found.append((first, min((one["us"] for one in [*groups, []][first]), default=np.nan)))
+        for best in (min(keeping(of, tolerances), key=lambda one: one["us"], default=None) for of in cells):
+            over = 2.0 if best is None else float(excess(best["errors"], tolerances) > MARGIN)
+            found.append((over, np.nan if best is None else best["us"]))
         return np.array(found).T
 
     proposed: dict[str, dict[str, float]] = {}
@@ -372,10 +371,10 @@ def tighter(rows: list[Mapping], *, price: float = 1.0, names: Iterable[str] = U
     for preset, tolerances in reversed(PRESETS.items()):
         mine = dict(tolerances)
         for name in names:
-            group, cost = chosen(mine, preset)
+            margin, cost = chosen(mine)
             for value in (value for value in NICE if least[name] <= value < mine[name]):
-                now, dearer = chosen(mine | {name: value}, preset)
-                if (now <= group).all() and np.nanmean(np.log(dearer / cost)) <= np.log(price):
+                now, dearer = chosen(mine | {name: value})
+                if (now <= margin).all() and np.nanmean(np.log(dearer / cost)) <= np.log(price):
                     mine[name] = value
                     break
         proposed[preset] = least = mine

@@ -68,14 +68,6 @@ MARGIN = 0.85
 """Share of the tolerances within which the errors of a setting should be in the study. The study has few seeds of a few
 scenes, so that its errors are uncertain."""
 
-CERTAIN = ("accurate", "reference")
-"""Names of the presets that are kept by the interval: the upper ends of a setting's errors should be within the
-tolerances too. Whoever names one of them wants to be sure."""
-
-UPPER_ENDS = (1.0, 1.25, 1.5, 2.0)
-"""Shares of the tolerances within which the upper ends should be for these presets. The first share that any setting
-keeps is taken. The study has so few seeds that the first share is often out of reach."""
-
 KNOWN = 1.0
 """Largest error, %, that a setting may have in motions with known answers (`run_tradeoff.py`). Presets use no setting
 with a larger error."""
@@ -133,12 +125,11 @@ class Recommendation:
     accuracy: name of the preset. solver: options of the solver (`solvers`), with the number of substeps. warm_start:
     name of the start. us: wall time of a step of `dt` on the processor `cpu`, μs, the mean over a run. dt: Δt of the
     scene, s. n_bodies: number of circles in the scene. errors: name of an error -> its largest value in the study, over
-    the kinds of scenes like this scene and the two sizes around `n_bodies`. upper: name of an error -> the largest
-    upper end of its intervals, over the same scenes. tolerances: name of an error -> tolerance of the preset. reached:
-    whether all errors are within the tolerances; if not, no setting is within them, and this setting comes nearest.
-    outside: sentences on properties of the scene that the study did not measure; empty if there are none. cheaper,
-    better: text on the setting of the next looser and of the next tighter preset, with its cost; empty if there is no
-    such preset.
+    the kinds of scenes like this scene and the two sizes around `n_bodies`. tolerances: name of an error -> tolerance
+    of the preset. reached: whether all errors are within the tolerances; if not, no setting is within them, and this
+    setting comes nearest. outside: sentences on properties of the scene that the study did not measure; empty if there
+    are none. cheaper, better: text on the setting of the next looser and of the next tighter preset, with its cost;
+    empty if there is no such preset.
     """
 
     accuracy: str
@@ -149,7 +140,6 @@ class Recommendation:
     n_bodies: int
     cpu: str
     errors: dict
-    upper: dict
     tolerances: dict
     reached: bool
     outside: tuple[str, ...] = ()
@@ -166,17 +156,10 @@ class Recommendation:
         percent = {name: "" if name == "contacts" else " %" for name in self.errors}
         errors = ", ".join(f"{name} {self.errors[name]:.2g}{percent[name]} ({most:g})" for name, most in known)
         yield "errors of a run (tolerances)", errors
-        if self.accuracy in CERTAIN and self.reached and (unsure := self._unsure()):
-            yield "uncertain with the seeds of the study", unsure
         yield from (("outside of the study", sentence) for sentence in self.outside)
         if self.outside or not self.reached:
             yield "what to do", _way_out(self.us)
         yield from ((name, text) for name, text in (("cheaper", self.cheaper), ("better", self.better)) if text)
-
-    def _unsure(self) -> str:
-        """Return a text with the errors whose upper ends exceed their tolerances. It is empty if there are none."""
-        over = ((name, self.upper[name], most) for name, most in self.tolerances.items() if name in self.upper)
-        return ", ".join(f"{name} up to {high:.2g} ({most:g})" for name, high, most in over if high > most)
 
     def __str__(self) -> str:
         return "\n  ".join(f"{name}: {text}" for name, text in self._rows())
@@ -200,7 +183,7 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
     candidates = _candidates(*_case(numbers, stiff))
     if budget_ms is None:
         name = one_of("accuracy", accuracy or "fast", PRESETS)
-        best = cheapest(candidates, name)
+        best = cheapest(candidates, PRESETS[name])
     else:
         limit = 1e3 * number("budget_ms", budget_ms, above=0)
         affordable = [one for one in candidates if one["us"] <= limit]
@@ -214,8 +197,8 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
     cheaper, better = (_neighbour(other, best, candidates) for other in (names[at - 1], names[at + 1]))
     return Recommendation(
         accuracy=name, solver=best["solver"], warm_start=best["start"], us=best["us"], dt=numbers.dt,
-        n_bodies=numbers.count, cpu=installed()["cpu"], errors=best["errors"], upper=best["upper"],
-        tolerances=tolerances, reached=excess(best["errors"], tolerances) <= 1, outside=tuple(outside(numbers, stiff)),
+        n_bodies=numbers.count, cpu=installed()["cpu"], errors=best["errors"], tolerances=tolerances,
+        reached=excess(best["errors"], tolerances) <= 1, outside=tuple(outside(numbers, stiff)),
         cheaper=cheaper, better=better,
     )  # fmt: skip
 
@@ -228,7 +211,7 @@ def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
     """
     if not accuracy:
         return ""
-    other = cheapest(candidates, accuracy)
+    other = cheapest(candidates, PRESETS[accuracy])
     if other["solver"] == best["solver"]:
         return f"{accuracy} is the same here"
     return f"{accuracy}, {describe(other['solver'])}, {other['us'] / best['us']:.2g} times the time"
@@ -299,7 +282,7 @@ def _chosen(accuracy: str, sleep: bool, *case) -> dict:
     the arguments of `_candidates`, which describe the scene.
     """
     candidates = [one for one in _candidates(*case) if not sleep or entry_of(one["solver"]).can_sleep]
-    return cheapest(candidates, accuracy)
+    return cheapest(candidates, PRESETS[accuracy])
 
 
 @functools.cache
@@ -327,34 +310,14 @@ def parts_for(numbers: SceneNumbers, dt: float) -> int:
     return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
 
 
-def keeping(candidates: list[dict], accuracy: str, *, margin: bool = True) -> list[dict]:
-    """Return the candidates that keep a preset: `within` its tolerances. accuracy: name of the preset."""
-    return within(candidates, PRESETS[accuracy], margin=margin, certain=accuracy in CERTAIN)
+def keeping(candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True) -> list[dict]:
+    """Return the candidates whose "errors" are within the tolerances.
 
-
-def within(
-    candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True, certain: bool = False
-) -> list[dict]:
-    """Return the candidates whose "errors" are within the tolerances, or the preferred of these if there are any.
-
-    margin: whether to prefer candidates, by the order of `preferences`. certain: argument of `preferences`.
-    """
-    groups = preferences(candidates, tolerances, certain=certain)
-    return next(filter(None, groups), []) if margin else groups[-1]
-
-
-def preferences(candidates: list[dict], tolerances: Mapping[str, float], *, certain: bool) -> list[list[dict]]:
-    """Return groups of the candidates whose "errors" are within the tolerances; the first groups are preferred.
-
-    The last group has all of them. The group before it has those whose errors are within `MARGIN` times the tolerances.
-    certain: whether there are groups before that, one for each share of `UPPER_ENDS`: those among them whose upper
-    ends, "upper", are within this share of the tolerances.
+    margin: whether to return only the candidates whose errors are within `MARGIN` times the tolerances, if there are
+    any.
     """
     kept = [one for one in candidates if excess(one["errors"], tolerances) <= 1.0]
-    with_margin = [one for one in kept if excess(one["errors"], tolerances) <= MARGIN]
-    shares = UPPER_ENDS if certain else ()
-    surer = ([one for one in with_margin if excess(one["upper"], tolerances) <= share] for share in shares)
-    return [*surer, with_margin, kept]
+    return [one for one in kept if margin and excess(one["errors"], tolerances) <= MARGIN] or kept
 
 
 def excess(errors: Mapping[str, float | None], tolerances: Mapping[str, float]) -> float:
@@ -363,14 +326,14 @@ def excess(errors: Mapping[str, float | None], tolerances: Mapping[str, float]) 
     return max((value / most for value, most in known if value is not None), default=0.0)
 
 
-def cheapest(candidates: list[dict], accuracy: str) -> dict:
-    """Return the cheapest of the candidates that keep a preset (`keeping`): the one with the smallest "us".
+def cheapest(candidates: list[dict], tolerances: Mapping[str, float]) -> dict:
+    """Return the cheapest of the candidates that `keeping` returns for the tolerances: the one with the smallest "us".
 
-    If there is none, return the candidate whose errors come nearest to the tolerances. accuracy: name of the preset.
+    If there is none, return the candidate whose errors come nearest to the tolerances.
     """
-    if kept := keeping(candidates, accuracy):
+    if kept := keeping(candidates, tolerances):
         return min(kept, key=lambda one: one["us"])
-    return min(candidates, key=lambda one: (excess(one["errors"], PRESETS[accuracy]), one["us"]))
+    return min(candidates, key=lambda one: (excess(one["errors"], tolerances), one["us"]))
 
 
 def _case(numbers: SceneNumbers, stiff: Stiffness | None) -> tuple:
@@ -389,10 +352,9 @@ def _time_steps() -> list[float]:
 def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff, rolls: bool) -> list[dict]:
     """Return every setting of the study for n circles of these kinds: its solver, start, cost and errors.
 
-    A candidate has "solver", "start", "us" (μs for a step of the scene's Δt), "errors", "upper" (upper ends of the
-    intervals of the errors) and "dt" (time step of the setting, s). Errors and upper ends are the largest over the two
-    sizes of the study around n, and over the kinds. Times are those of the slowest kind, interpolated between the sizes
-    by a power law.
+    A candidate has "solver", "start", "us" (μs for a step of the scene's Δt), "errors" and "dt" (time step of the
+    setting, s). Errors are the largest over the two sizes of the study around n, and over the kinds. Times are those of
+    the slowest kind, interpolated between the sizes by a power law.
 
     substeps: pairs of a time step of the study, s, and the number of substeps into which it divides the scene's Δt.
     stiff: None, or the solver for a scene that a few sweeps cannot solve (`stiffness`), which is then the only
@@ -409,8 +371,7 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff, rolls: 
             continue  # Large piles, and kinds other than "plain", were run with fewer settings.
         alike = [setting["errors"][size][kind] for size in (low, high) for kind in kinds]
         names = dict.fromkeys(name for one in alike for name in one)
-        pairs = {name: [one[name] for one in alike if name in one] for name in names}
-        errors, upper = ({name: max(of[end] for of in several) for name, several in pairs.items()} for end in (0, 1))
+        errors = {name: max(one[name] for one in alike if name in one) for name in names}
         times = {int(size): max(setting["us"][size][kind] for kind in kinds) for size, kept in measured.items() if kept}
         k, options = parts[setting["dt"]], dict(setting["options"])
         us, start = k * _us_at(n, times) * setting["dt"] / TIME_STEP, options.pop("start", "builtin")
@@ -418,8 +379,7 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff, rolls: 
         if rolls and not entry_of(solver).rolls:
             continue
         solver = replace(solver, substeps=k, most_substeps=solver.most_substeps and k * solver.most_substeps)
-        found = {"solver": solver, "start": start, "us": us, "errors": errors, "upper": upper, "dt": setting["dt"]}
-        candidates.append(found)
+        candidates.append({"solver": solver, "start": start, "us": us, "errors": errors, "dt": setting["dt"]})
     if stiff is None:
         return candidates
     best = min(candidates, key=lambda one: excess(one["errors"], PRESETS["reference"]))

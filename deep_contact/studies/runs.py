@@ -286,8 +286,8 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
     * "ratio": [value, low, high], the time of the fastest other engine over the time of this package, for plain piles.
 
     A setting is {"name", "us", "times", "seeds"}, or None if none is within the tolerances. For this package it is the
-    setting that `simulate(accuracy=…)` takes. It leaves a margin to the tolerances, and some presets look at the upper
-    ends of intervals too (`presets.keeping`). For another engine neither is required.
+    setting that `simulate(accuracy=…)` takes, which leaves a margin to the tolerances (`presets.keeping`). For another
+    engine no margin is required.
 
     The value of the ratio is the median over the processes that measured times. Errors have confidence intervals, and
     low and high show their effect. For low, settings are chosen a second time, with our errors at the upper bounds of
@@ -299,7 +299,7 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
 
     def cheapest(n, engine, preset, kind="plain", at=0):
         candidates = found[at].get((n, kind, engine), [])
-        kept = keeping(candidates, preset, margin=engine is None and at == 0)
+        kept = keeping(candidates, PRESETS[preset], margin=engine is None and at == 0)
         best = min(kept, key=lambda one: one["us"], default=None)
         return best and {key: best[key] for key in ("name", "us", "times", "seeds")}
 
@@ -334,8 +334,7 @@ def candidates_by_cell(rows: Iterable[Mapping], at: int = 0) -> dict[tuple, list
     """Return the rows among which a preset chooses: (circles, kind, engine or None) -> rows of known times and errors.
 
     Settings with a large error in motions of known results are left out (`presets.KNOWN`). Each row has "errors", name
-    -> number, and "upper", name -> upper end of the interval, `rounded`. at: 0 for the errors themselves, 1 for the
-    lower and 2 for the upper ends of their intervals.
+    -> number, `rounded`. at: 0 for the errors themselves, 1 for the lower and 2 for the upper ends of their intervals.
     """
     cells: dict[tuple, list] = {}
     for row in rows:
@@ -343,9 +342,8 @@ def candidates_by_cell(rows: Iterable[Mapping], at: int = 0) -> dict[tuple, list
             continue
         known = {name: error for name, error in row["errors"].items() if error}
         errors = {name: rounded(error[at]) for name, error in known.items()}
-        upper = {name: with_upper(error)[1] for name, error in known.items()}
         key = row["n_bodies"], row["kind"], row["setting"].get("engine")
-        cells.setdefault(key, []).append(row | {"errors": errors, "upper": upper})
+        cells.setdefault(key, []).append(row | {"errors": errors})
     return cells
 
 
@@ -355,15 +353,6 @@ def rounded(error: float) -> float:
     The table of the presets has errors with three digits. So the table and the study choose the same settings.
     """
     return float(f"{error:.3g}")
-
-
-def with_upper(error: Sequence[float]) -> tuple[float, float]:
-    """Return (value, upper end) of an error, `rounded`. error: (value, low, high) of `errors.intervals`.
-
-    A bootstrap interval by percentiles may end below the value. The upper end is then the value.
-    """
-    value, _, high = error
-    return rounded(value), rounded(max(value, high))
 
 
 def sizes_of(rows: Iterable[Mapping]) -> list[int]:

@@ -22,12 +22,9 @@ from deep_contact.studies import runs
 from deep_contact.studies.runs import KINDS, dam_break, two_densities
 
 
-def entry(name, dt, us, share, *, upper=None, of="fast", **options):
-    """A setting whose errors are `share` of the tolerances of a preset, at 100 and 1,000 circles.
-
-    upper: share of the upper ends of their intervals; by default that of the errors.
-    """
-    errors = {error: [share * most, (upper or share) * most] for error, most in PRESETS[of].items()}
+def entry(name, dt, us, share, **options):
+    """A setting whose errors are `share` of the tolerances of "fast", at 100 and 1,000 circles."""
+    errors = {error: share * most for error, most in PRESETS["fast"].items()}
     times = {"100": {"plain": us}, "1000": {"plain": 10 * us}}
     by_size = {size: {"plain": errors} for size in times}
     return {"name": name, "options": options, "dt": dt, "us": times, "errors": by_size}
@@ -60,44 +57,6 @@ def test_the_cheapest_setting_that_keeps_the_preset_is_chosen(study):
     assert found.solver == dc.PSOR(omega=1.3, sweeps=2, tolerance=None, substeps=4)
     assert (found.warm_start, found.reached, found.accuracy) == ("none", True, "reference")
     np.testing.assert_allclose(found.us, 50.0)
-
-
-def of_reference(monkeypatch, *settings):
-    """A function: the number of sweeps that a preset takes, if a study has these settings on plain piles alone.
-
-    settings: (sweeps, time, share of the tolerances of "reference", share of the upper ends).
-    """
-    entries = [
-        entry(f"{sweeps}", 0.01, us, share, upper=upper, of="reference", method="PGS", sweeps=sweeps)
-        for sweeps, us, share, upper in settings
-    ]
-    monkeypatch.setattr(presets, "installed", lambda: TABLE | {"settings": entries})
-    monkeypatch.setattr(presets, "_chosen", getattr(presets._chosen, "__wrapped__", presets._chosen))
-    return lambda accuracy: dc.recommend(dc.circles_in_box(100), accuracy=accuracy)
-
-
-@pytest.mark.parametrize(
-    ("settings", "taken"),
-    [
-        ([(2, 10, 0.5, 1.1), (4, 20, 0.5, 0.99)], 4),  # the cheaper one may miss the preset
-        ([(2, 10, 0.5, 1.1), (4, 20, 0.9, 0.99)], 2),  # the margin comes first
-        ([(2, 10, 0.5, 1.4), (4, 20, 0.5, 1.2), (8, 30, 0.5, 1.24)], 4),  # both within 1.25: the cheaper
-        ([(2, 10, 0.5, 9.0), (4, 20, 0.5, 3.0)], 2),  # none within any share: by the errors alone
-        ([(2, 10, 0.9, 9.0), (4, 20, 0.95, 1.0)], 2),  # no margin: by the errors alone
-    ],
-)
-def test_who_asks_for_the_most_accurate_gets_what_keeps_it_at_the_upper_ends(monkeypatch, settings, taken):
-    found = of_reference(monkeypatch, *settings)
-    assert found("reference").solver.sweeps == taken
-    assert found("preview").solver.sweeps == min(sweeps for sweeps, *_ in settings)  # by the errors alone
-
-
-def test_what_is_kept_by_the_errors_alone_is_called_uncertain(monkeypatch):
-    found = of_reference(monkeypatch, (2, 10, 0.5, 1.5))
-    assert found("reference").reached
-    assert "uncertain with the seeds of the study: energy up to 6 (4), height up to 3 (2), " in str(found("reference"))
-    assert "uncertain" not in str(found("fast"))
-    assert "uncertain" not in str(of_reference(monkeypatch, (2, 10, 0.5, 1.0))("reference"))
 
 
 def test_a_simulation_without_a_solver_takes_fast(study):
@@ -377,7 +336,7 @@ def test_a_preset_is_chosen_by_errors_and_times_of_the_kinds_that_a_scene_is_lik
     for size in ("100", "1000"):
         for setting, times_worse in ((cheap, 9), (dear, 1)):
             errors = setting["errors"][size]
-            errors["mixed radii"] = {name: [times_worse * end for end in of] for name, of in errors["plain"].items()}
+            errors["mixed radii"] = {name: times_worse * value for name, value in errors["plain"].items()}
             setting["us"][size]["mixed radii"] = 3 * setting["us"][size]["plain"]
     settings = [cheap, dear, on_plain]
     kinds = {"plain": [100, 1000], "mixed radii": [100, 1000]}

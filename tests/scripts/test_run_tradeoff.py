@@ -39,7 +39,7 @@ def test_tolerances_that_nobody_uses_are_made_smaller_at_no_price():
     ]  # fmt: skip
     found = study.tighter(rows)
     before = PRESETS["reference"]
-    # The upper ends, 0.5 of 12 and 0.6 of 2, are within the proposals, and the errors within 85 % of them.
+    # The errors, 0.5 of 12 and 0.6 of 2, are within 85 % of the proposals.
     assert (found["reference"]["forces"], found["reference"]["creep"]) == (8.0, 1.5)
     assert found["reference"]["energy"] == before["energy"]  # used, and not named
     for preset, tolerances in found.items():

@@ -86,23 +86,6 @@ def test_the_ratio_holds_the_times_of_all_processes_and_ours_leaves_a_margin():
     assert found["ratio"] == pytest.approx([5.4545, 5.0, 16.667], rel=1e-4)  # 1.0 keeps it at the ends, by no margin
 
 
-def test_the_most_accurate_presets_are_priced_by_the_upper_ends():
-    rows = [row(COARSE, 1.0, 0.0), row(FINE, 2.0, 0.0), row(PEER, 12.0, 0.0)]
-    rows[0]["errors"]["energy"] = rows[2]["errors"]["energy"] = (1.0, 0.5, 4.5)
-    found = {one["preset"]: one for one in runs.presets(rows)}
-    taken = {preset: one["kinds"]["plain"]["us"] for preset, one in found.items()}
-    assert taken == {"preview": 1.0, "fast": 1.0, "balanced": 1.0, "accurate": 1.0, "reference": 2.0}
-    assert found["reference"]["peers"]["pymunk"]["us"] == 12.0  # by its error alone, 1 % of 4 %
-
-
-@pytest.mark.parametrize(
-    ("error", "pair"),
-    [((1.23456, 1.0, 2.34567), (1.23, 2.35)), ((1.0, 1.2, 2.0), (1.0, 2.0)), ((3.0, 1.0, 2.0), (3.0, 3.0))],
-)
-def test_an_error_is_stored_with_the_upper_end_of_its_interval(error, pair):
-    assert runs.with_upper(error) == pair
-
-
 def work():
     """A tenth of a second of this thread."""
     begun = time.thread_time()
@@ -218,9 +201,6 @@ def test_the_script_installs_what_recommend_reads(study, tmp_path, monkeypatch):
     monkeypatch.setattr("deep_contact.accuracy.presets.installed", lambda: table)
     assert dc.recommend(dc.circles_in_box(20), accuracy="preview").us > 0
     assert {setting["name"] for setting in table["settings"]} == {"PGS, 3 sweeps, Δt", "NNCG, 2 sweeps, Δt"}
-    stored = next(row for row in found["data"]["rows"] if row["name"] == "PGS, 3 sweeps, Δt")["errors"]["energy"]
-    (coarse,) = (setting for setting in table["settings"] if setting["name"] == "PGS, 3 sweeps, Δt")
-    assert coarse["errors"]["20"]["plain"]["energy"] == list(runs.with_upper(stored))
 
 
 def test_what_presets_and_trades_choose_is_held_against_scenes_outside_the_study(tmp_path, monkeypatch, without_runs):
