@@ -334,6 +334,29 @@ def test_what_all_give_each_other_adds_up_to_nothing_and_changes_momentum(e, div
     np.testing.assert_allclose(8 * scene.dt * run.force_on("segment", [0, 1]), loads, atol=1e-9 * largest)
 
 
+@pytest.mark.parametrize("division", DIVISIONS)
+@pytest.mark.parametrize("e", [0.0, 0.7])
+@pytest.mark.parametrize("frame", [(64.0, -32.0), (1024.0, 0.0)])
+def test_in_a_container_that_moves_evenly_all_happens_as_at_rest(frame, e, division):
+    """Four walls, six balls and a peg among them, under gravity. Paths relative to the walls are the same."""
+    rng, (w, h) = np.random.default_rng(9), (3.5, 2.5)
+    corners = np.array([(-w, -h), (w, -h), (w, h), (-w, h)])
+    walls = np.stack([corners, np.roll(corners, -1, axis=0)], axis=1)
+    place = np.array([(-2.4, -1.5), (-1.0, 0.4), (0.6, -1.6), (2.2, -0.8), (0.9, 1.2), (-2.2, 1.5), (2.4, 1.6)])
+    speeds, fixed, ways = rng.uniform(-3.0, 3.0, (7, 2)), np.arange(7) == 3, []
+    speeds[3] = 0.0
+    for v in (np.zeros(2), np.array(frame)):
+        world = FREE | {"box": (-1e5, -1e5, 1e5, 1e5), "gravity": (2.0, -9.81), "restitution": e}
+        scene = circles_at(
+            place, velocity=speeds + v, radius=0.6, fixed=fixed, dt=1.0 / 128.0,
+            segments=walls, segment_velocities=np.tile(v, (4, 2, 1)), **world,
+        )  # fmt: skip
+        run = dc.simulate(scene, steps=60, solver=DIVISIONS[division], record=1).trajectory
+        ways.append(run.positions - run.times[:, None, None] * v)
+    assert np.abs(ways[0][-1] - place).max() > 0.5
+    np.testing.assert_allclose(ways[1], ways[0], rtol=0.0, atol=1e-9)
+
+
 METHODS = {**{name: {"solver": solver} for name, solver in DIVISIONS.items()}, "preset": {"accuracy": "fast"}}
 METHODS["resolved"] = {"solver": replace(WHOLE, sweeps=3000, tolerance=1e-8)}
 OTHERS = {name: {"solver": of(sweeps=20, tolerance=None)} for name, of in SOLVERS.items() if name != "PGS"}
