@@ -332,6 +332,8 @@ def silos() -> list[list]:
         ]
     ]
     for (walls, friction), of in found.items():
+        if list(of) != heights:
+            continue  # not all heights were done
         means = [sum(ks) / len(ks) for ks in of.values()]
         name = "glued discs" if walls == "glued" else f"a material, μ = {friction:g}"
         rows.append(
@@ -341,83 +343,21 @@ def silos() -> list[list]:
 
 
 def collapses() -> list[list]:
-    """Run-out (L∞ − L₀) / L₀ of columns by aspect ratio and rolling resistance, and its exponent."""
-    found, exponents = {}, {}
-    for row in law("collapse"):
-        if "run-out" in row:
-            found.setdefault(row["rho"], {}).setdefault(row["aspect"], []).append(
-                row["run-out"]
-            )
-        elif row["exponent of"] == "run-out":
-            exponents[row["rho"]] = row["value"]
-    aspects = list(next(iter(found.values())))
-    rows = [
-        [
-            "ρ over the mean radius",
-            *(f"a = {aspect:g}" for aspect in aspects),
-            "exponent, a from 4 on",
-        ]
-    ]
-    for rho, of in found.items():
-        rows.append(
-            [
-                f"{rho / 0.45:.1f}",
-                *(f"{sum(v) / len(v):.2f}" for v in of.values()),
-                f"{exponents[rho]:.2f}",
-            ]
-        )
-    return rows
-
-
-def ramps() -> list[list]:
-    """Ramps whose end is that of a run that is solved well in every step, to within its noise, and their top speeds."""
-    rows = [["ramp", *PRESETS]]
+    """Run-out (L∞ − L₀) / L₀ of columns by aspect ratio and rolling resistance."""
     found = {}
-    for row in law("ramps"):
-        missed = [
-            name
-            for name, (*_, within) in row["difference, noise, within"].items()
-            if not within
-        ]
-        speeds = (f"{max(row[how]['top speed']):.2g}" for how in ("live", "resolved"))
-        text = " / ".join(speeds) + (
-            f", not within: {', '.join(missed)}" if missed else ""
-        )
-        found.setdefault(row["ramp"], {})[row["preset"]] = text
-    return rows + [
-        [ramp, *(of.get(preset) for preset in PRESETS)] for ramp, of in found.items()
-    ]
-
-
-def gases() -> list[list]:
-    """Rate of Haff's law over theory, by events and by steps."""
-    laws = [
-        of["rows"]
-        for name, of in stored("material_laws")["laws"].items()
-        if name.startswith("haff")
-    ]
-    names = list(laws[0]["rate over theory"])[:-1]
-    rows = [
-        [
-            "covered",
-            *(
-                "by events" if name == "events" else name.replace("dt", "Δt") + " s"
-                for name in names
-            ),
-        ]
-    ]
-    for one in laws:
-        cells = (
-            f"{mean:.3f} ± {error:.3f}"
-            for mean, error in (one["rate over theory"][name] for name in names)
-        )
-        rows.append([f"{100 * one['theory']['phi']:.0f} %", *cells])
+    for row in law("collapse"):
+        found.setdefault(row["rho"], {}).setdefault(row["aspect"], []).append(row["run-out"])
+    aspects = max(map(list, found.values()), key=len)
+    rows = [["ρ over the mean radius", *(f"a = {aspect:g}" for aspect in aspects)]]
+    for rho, of in found.items():
+        means = {aspect: sum(values) / len(values) for aspect, values in of.items()}
+        rows.append([f"{rho / 0.45:.1f}", *(f"{means[a]:.2f}" if a in means else None for a in aspects)])
     return rows
 
 
 _MADE = (
     *(engine, live, first_calls, compiling, noticed, presets, units, costs, each_rival, rivals, rivals_short, kinds, missed),
-    *(figures, sph_start, elements, silos, collapses, ramps, gases),
+    *(figures, sph_start, elements, silos, collapses),
 )
 
 TABLES = {table.__name__.replace("_", " "): table for table in _MADE} | {

@@ -27,6 +27,7 @@ from deep_contact.accuracy.presets import PRESETS
 from deep_contact.io.files import write_json
 from deep_contact.io.provenance import provenance
 from deep_contact.stepping import rows as contact_rows
+from deep_contact.stepping.interface import describe
 from deep_contact.stepping.problem import step_problem
 
 G = 9.81
@@ -41,6 +42,22 @@ def packing(columns: int, rows: int, rng) -> tuple[np.ndarray, np.ndarray]:
     row, column = np.divmod(np.arange(columns * rows), columns)
     centres = np.column_stack([(column + 0.5 * (row % 2)) * PITCH, row * PITCH * math.sqrt(0.75)])
     return centres + rng.uniform(-0.01, 0.01, centres.shape), rng.uniform(SMALLEST, LARGEST, len(centres))
+
+
+def begun(args, *keys: str) -> tuple[list[dict], set]:
+    """The rows that the file of results has already, and the values of these keys in each, so that a run goes on."""
+    rows = []
+    if args.out and args.out.exists():
+        rows = json.loads(args.out.read_text())["laws"].get(args.law, {"rows": []})["rows"]
+    return rows, {tuple(row.get(key) for key in keys) for row in rows}
+
+
+def add(args, rows: list[dict], row: dict) -> None:
+    """Append a row, print it, and store all rows."""
+    rows.append(row)
+    print(row, flush=True)
+    if args.out:
+        store(args.out, args.law, rows)
 
 
 # ---- Janssen ----
@@ -119,15 +136,13 @@ def one_silo(height: int, walls: str, friction: float, seed: int, settle: int, s
     }  # fmt: skip
 
 
-def janssen(args) -> list[dict]:
-    found = []
-    for walls, friction in (("material", 0.3), ("material", 0.5), ("glued", 0.5)):
-        for height in args.heights:
+def janssen(args) -> None:
+    rows, done = begun(args, "walls", "friction", "height", "seed")
+    for height in args.heights:
+        for walls, friction in (("material", 0.3), ("material", 0.5), ("glued", 0.5)):
             for seed in range(args.seeds):
-                found.append(one_silo(height, walls, friction, seed, 1200 + 4 * height, 800))
-                keys = "walls", "friction", "height", "seed", "floor over weight", "mobilised", "K", "median speed"
-                print({key: found[-1][key] for key in keys}, flush=True)
-    return found
+                if (walls, friction, height, seed) not in done:
+                    add(args, rows, one_silo(height, walls, friction, seed, 1200 + 4 * height, 800))
 
 
 # ---- collapse ----
@@ -171,20 +186,13 @@ def one_collapse(aspect: float, rho: float, seed: int) -> dict:
     }  # fmt: skip
 
 
-def collapse(args) -> list[dict]:
-    found = []
-    for rho in args.rho:
-        for aspect in args.aspects:
+def collapse(args) -> None:
+    rows, done = begun(args, "rho", "aspect", "seed")
+    for aspect in args.aspects:
+        for rho in args.rho:
             for seed in range(args.seeds):
-                found.append(one_collapse(aspect, rho, seed))
-                print(found[-1], flush=True)
-        for key in ("run-out", "run-out of 98 %", "height"):
-            tall = [(one["aspect"], one[key]) for one in found if one["rho"] == rho and one["aspect"] >= 3.0]
-            if len({a for a, _ in tall}) > 1:
-                exponent = float(np.polyfit(*np.log(np.transpose(tall)), 1)[0])
-                found.append({"exponent of": key, "rho": rho, "aspect": 0.0, "value": exponent})
-                print(found[-1], flush=True)
-    return [one for one in found if "run-out" in one or "value" in one]
+                if (rho, aspect, seed) not in done:
+                    add(args, rows, one_collapse(aspect, rho, seed))
 
 
 # ---- ramps ----
@@ -271,31 +279,31 @@ def ramp_resolved(state: dc.State, preset: str, steps: int, change) -> dict[str,
     return numbers_of(state, fastest)
 
 
-def ramps(args) -> list[dict]:
-    found = []
+def one_ramp(pile: dc.State, preset: str, name: str) -> dict:
+    """A ramp, live and solved well in every step: numbers of all runs, and by quantity [difference, noise, within]."""
+    steps, change = RAMPS[name]
+    row = {"preset": preset, "ramp": name, "solver": describe(pile.solver)}
+    for how, ramp in (("live", ramp_live), ("resolved", ramp_resolved)):
+        runs = [ramp(shaken(pile, k), preset, steps, change) for k in range(SHAKEN)]
+        row[how] = {key: [run[key] for run in runs] for key in runs[0]}
+    row["verdicts"] = {}
+    for key, ours in row["live"].items():
+        theirs = row["resolved"][key]
+        noise, apart = float(max(np.ptp(ours), np.ptp(theirs))), float(np.mean(ours) - np.mean(theirs))
+        row["verdicts"][key] = [apart, noise, bool(abs(apart) <= noise)]
+    return row
+
+
+def ramps(args) -> None:
+    rows, done = begun(args, "preset", "ramp")
     for preset in args.presets:
+        left = [name for name in RAMPS if args.only in name and (preset, name) not in done]
+        if not left:
+            continue
         scene = dc.circles_in_box(args.circles, size=(16.0, 40.0), seed=3)
         pile = dc.simulate(scene, steps=1000, accuracy=preset).state
-        for name, (steps, change) in RAMPS.items():
-            if args.only not in name:
-                continue
-            row = {"preset": preset, "ramp": name, "solver": str(pile.solver)}
-            for how, ramp in (("live", ramp_live), ("resolved", ramp_resolved)):
-                runs = [ramp(shaken(pile, k), preset, steps, change) for k in range(SHAKEN)]
-                row[how] = {key: [run[key] for run in runs] for key in runs[0]}
-            verdicts = {}
-            for key in ("height", "energy", "top speed"):
-                ours, theirs = (np.array(row[how][key]) for how in ("live", "resolved"))
-                noise = max(np.ptp(ours), np.ptp(theirs))
-                apart = float(ours.mean() - theirs.mean())
-                verdicts[key] = [apart, float(noise), bool(abs(apart) <= noise)]
-            row["difference, noise, within"] = verdicts
-            found.append(row)
-            print(preset, "|", name, "|", {k: [float(f"{v[0]:.2g}"), float(f"{v[1]:.2g}"), v[2]] for k, v in
-                                          verdicts.items()}, "| top", [float(f"{x:.2g}") for x in
-                                          (max(row["live"]["top speed"]), max(row["resolved"]["top speed"]))],
-                  flush=True)  # fmt: skip
-    return found
+        for name in left:
+            add(args, rows, one_ramp(pile, preset, name))
 
 
 # ---- rolling impulses, carried or not ----
@@ -333,9 +341,9 @@ def error_of(v, exact, n: int) -> float:
     return float(np.sqrt(np.mean((v[:n, :3] - exact[:n, :3]) ** 2)))
 
 
-def rolling(args) -> list[dict]:
+def rolling(args) -> None:
     """Errors after 5 to 40 sweeps, in m/s, medians over states of a pile that settles, and of one at rest."""
-    solver, found = dc.PGS(sweeps=20, tolerance=None), []
+    solver, rows = dc.PGS(sweeps=20, tolerance=None), []
     scene, _ = collapse_scene(2.0, 0.1, 0)
     for name, first in (("collapsing", 150), ("at rest", 3000)):
         state = dc.simulate(scene, steps=first, solver=solver).state
@@ -358,9 +366,7 @@ def rolling(args) -> list[dict]:
                     relaxed(problem, v, sweeps)
                     errors.setdefault((how, sweeps), []).append(error_of(v, v_exact, n))
         for (how, sweeps), values in errors.items():
-            found.append({"pile": name, "start": how, "sweeps": sweeps, "error": float(np.median(values))})
-            print(found[-1], flush=True)
-    return found
+            add(args, rows, {"pile": name, "start": how, "sweeps": sweeps, "error": float(np.median(values))})
 
 
 def store(path: Path, law: str, rows) -> None:
@@ -386,9 +392,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     warnings.simplefilter("ignore")
-    found = LAWS[args.law](args)
-    if args.out:
-        store(args.out, args.law, found)
+    LAWS[args.law](args)
 
 
 if __name__ == "__main__":
