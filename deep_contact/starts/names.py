@@ -59,8 +59,12 @@ RENAMED = {"learned support": "far field, no past"}
 
 
 def is_network(start) -> bool:
-    """Return whether a start is a network or the path of a network file, "….h5"."""
-    return hasattr(start, "predict") or isinstance(start, Path) or (isinstance(start, str) and start.endswith(".h5"))
+    """Return whether a start is a network or the path of a network file.
+
+    Texts that end in .h5 or .keras are paths. A file of Keras is refused when it is read, with the way to use it.
+    """
+    is_file = isinstance(start, str) and start.endswith((".h5", ".keras"))
+    return hasattr(start, "predict") or isinstance(start, Path) or is_file
 
 
 def _refuse_name(name: str) -> None:

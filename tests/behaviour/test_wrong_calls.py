@@ -330,6 +330,10 @@ WRONG = {
         lambda: dc.solve_contacts(STATE, start=KERAS),
         r"warm_start: .*Layered of Keras; LearnedModel\(source=…",
     ),
+    "a file of Keras as a start": (
+        lambda: dc.simulate(STATE, steps=1, warm_start="own.keras"),
+        "model: expected a file of this package, ….h5, got own.keras; LearnedModel",
+    ),
     "a start's class": (
         lambda: dc.step(STATE, warm_start=dc.warm_start.Sph),
         r"warm_start: expected an instance, such as Sph\(\)",
