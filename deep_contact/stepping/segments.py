@@ -329,8 +329,8 @@ def touched(contacts, a, b):
 def time_to_touch(segment, x, y, m_x, m_y, least):
     """Return (time, part): when a point first comes within `least`, m, of a segment, and of which part of it.
 
-    The point moves by (m_x, m_y), m. The time is a share of this motion, or infinity if the point is nearer than `least`
-    already. If its distance is `least` to rounding, and decreases, the time is 0. part: `BESIDE`, `START` or `END`.
+    The point moves by (m_x, m_y), m. The time is a share of this motion, or infinity if the point is nearer already. If
+    its distance is `least` to rounding, and decreases, the time is 0. part: `BESIDE`, `START` or `END`.
     """
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     length, nearer = math.sqrt(e_x * e_x + e_y * e_y), (1.0 - _ROUNDING) * least
