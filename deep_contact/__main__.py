@@ -17,6 +17,7 @@ from decimal import Decimal
 from pathlib import Path
 
 from deep_contact.io import scripts, shipped
+from deep_contact.io.argument_parser import Parser
 from deep_contact.io.files import FileError, check_writable
 from deep_contact.state.constants import VERSION
 
@@ -97,12 +98,12 @@ def status_of(error: Exception) -> int:
     return next((status for kind, status in kinds.items() if isinstance(error, kind)), BAD_ARGUMENTS)
 
 
-def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+def _parsers() -> tuple[Parser, dict[str, Parser]]:
     is_module = Path(sys.argv[0]).parts[-2:] == ("deep_contact", "__main__.py")
     prog = "python -m deep_contact" if is_module else "deep-contact"
     layout = argparse.RawDescriptionHelpFormatter
     text = "Rigid contact of circles."
-    parser = argparse.ArgumentParser(prog=prog, description=text, epilog=STATUS, formatter_class=layout)
+    parser = Parser(prog=prog, description=text, epilog=STATUS, formatter_class=layout)
     parser.add_argument("--version", action="version", version=f"deep-contact {VERSION}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
     commands = {name: add(name, help=text, description=f"{text.capitalize()}.") for name, text in COMMANDS.items()}
@@ -118,7 +119,7 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
     return parser, commands
 
 
-def _add_run(parser: argparse.ArgumentParser) -> None:
+def _add_run(parser: Parser) -> None:
     add = parser.add_argument
     text = "go on from this state, or the last of a run.h5 (default: a scene of falling circles)"
     add("state", nargs="?", metavar="STATE.xml", help=text)
@@ -158,7 +159,7 @@ def _number_or_word(text: str) -> float | str:
         return text
 
 
-def _add_trade(parser: argparse.ArgumentParser) -> None:
+def _add_trade(parser: Parser) -> None:
     add = parser.add_argument
     add("state", nargs="?", metavar="STATE.xml", help="the scene, or a state to go on from (default: --scene)")
     add("--scene", default="circles_in_box", metavar="NAME", help="hopper, drum, terrain, … (default: %(default)s)")
@@ -178,8 +179,9 @@ def _simulate(args) -> int:
     import deep_contact as dc
     from deep_contact.solvers import describe
     from deep_contact.state.html import counted
-    from deep_contact.state.validation import expect
+    from deep_contact.state.validation import expect, integer
 
+    integer("--every", args.every, least=1)
     out = Path(args.out or "")
     if args.out is not None:  # checked before the run, which may take long
         endings = (".xml", ".xml.gz", ".png", ".h5", ".html", ".gif", ".mp4")

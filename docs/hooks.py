@@ -29,6 +29,10 @@ GALLERY = ROOT / "docs" / "gallery"
 PICTURES = (".png", ".gif")
 PLAYS = ".html"
 TIMEOUT_S = 3600
+LONG = () if os.environ.get("DEEP_CONTACT_GALLERY") != "quick" else (
+    "biaxial", "drum_trade", "hopper_trade", "one_sweep", "photographed_packing", "train_network",
+)  # fmt: skip
+"""Programs that take most of the time: with DEEP_CONTACT_GALLERY=quick, as in CI, their pages show the code alone."""
 PATHS = {"PYTHONPATH": str(ROOT), "TF_CPP_MIN_LOG_LEVEL": "3"}
 PLACES = {}
 """Public name -> where it is: of a module its own name."""
@@ -165,15 +169,7 @@ def _example(name: str) -> tuple[str, list[Path]]:
     """Run an example in an empty folder. Returns its page, and the pictures and the pages of runs that it wrote."""
     path, folder = GALLERY / f"{name}.py", Path(_work.name) / name
     folder.mkdir()
-    environment = os.environ | PATHS | {"CUDA_VISIBLE_DEVICES": ""}
-    options = {"capture_output": True, "text": True, "timeout": TIMEOUT_S, "check": False}
-    try:
-        run = subprocess.run([sys.executable, path], cwd=folder, env=environment, **options)
-    except subprocess.TimeoutExpired:
-        hint = "`deep-contact warm-up` compiles ahead, on all cores"
-        raise PluginError(f"docs/gallery/{name}.py: expected an end within {TIMEOUT_S} s, got none; {hint}") from None
-    if run.returncode:
-        raise PluginError(f"docs/gallery/{name}.py failed:\n{run.stderr}")
+    output = "" if name in LONG else _run(path, folder)
     _, docstring, code = path.read_text(encoding="utf-8").split('"""', 2)
     title, _, text = docstring.partition("\n")
     pictures = sorted(found for found in folder.iterdir() if found.suffix in PICTURES)
@@ -182,7 +178,21 @@ def _example(name: str) -> tuple[str, list[Path]]:
     style = "width:100%;height:640px;border:1px solid #c8c8c8"
     for found in pages:
         shown += f'\n\n<iframe src="{name}/{found.name}" title="{found.stem}, which plays" style="{style}"></iframe>'
-    printed = f"It prints\n\n```text\n{run.stdout.rstrip()}\n```\n" if run.stdout else ""
+    printed = f"It prints\n\n```text\n{output}\n```\n" if output else ""
     _titles[name] = title.rstrip(".")
     page = f"# {title.rstrip('.')}\n{text}\n```python\n{code.strip()}\n```\n\n{shown}\n\n{printed}"
     return f"{page}\nThe file is `docs/gallery/{name}.py`.\n", pictures + pages
+
+
+def _run(path: Path, folder: Path) -> str:
+    """Run a program in this folder. Returns what it prints."""
+    environment = os.environ | PATHS | {"CUDA_VISIBLE_DEVICES": ""}
+    options = {"capture_output": True, "text": True, "timeout": TIMEOUT_S, "check": False}
+    try:
+        run = subprocess.run([sys.executable, path], cwd=folder, env=environment, **options)
+    except subprocess.TimeoutExpired:
+        hint = "`deep-contact warm-up` compiles ahead, on all cores"
+        raise PluginError(f"docs/gallery/{path.name}: expected an end within {TIMEOUT_S} s, got none; {hint}") from None
+    if run.returncode:
+        raise PluginError(f"docs/gallery/{path.name} failed:\n{run.stderr}")
+    return run.stdout.rstrip()

@@ -822,11 +822,12 @@ GIVEN: dict[str, list[str]] = {
         *("by at most 1 % of its initial value", "Δt is 10 ms", "below 3 % of a mean radius", "steps of 0.625 ms"),
         *("the lengths are 100 times these, and the speeds 10 times", "a thread works for 10 ms"),
     ],
-    "benchmarks.md": ["ω = 1.5", "61 × 61 nodes", "30 ns a contact and sweep"],
+    "benchmarks.md": ["a velocity error of 0.1", "ω = 1.5", "61 × 61 nodes", "30 ns a contact and sweep"],
     "guide.md": [
         *("0.01 s for r = 1 m", "takes 2.6 GB", "takes 0.6 GB"),
         *("about 1 ms of its own", "a scene took 10 ms", "a task of 10 s"),
     ],
+    "materials.md": ["μ = 0.5. In experiments", "1.2 a up to a of 2, and 1.9 a^(2/3)", "4.8 at a = 4 and 7.6 at a = 8"],
     "moving.md": ["at most 0.001 √(g r)", "discs of 1 m under 9.81 m/s² at Δt = 0.01 s", "may move by 0.01"],
     "other_starts.md": ["Δt = 0.01 s", "1.75 | 1.45", "ω = 1.75 for the normal and 1.45 for", "d = h = 0.5 m"],
     "recipes.md": ["speeds from 0.1 to 10"],

@@ -31,7 +31,7 @@ TASKS = {
 SYNONYMS = {
     "materials.md": (
         "two materials, per-body friction, friction matrix, contact properties, collision filter, collision group, layer, "
-        "mask, category, trigger, rolling resistance, rolling friction, angle of repose"
+        "mask, category, trigger, sensor, rolling resistance, rolling friction, angle of repose"
     ),
     "moving.md": "moving wall, piston, conveyor, belt, kinematic, paddle, roller, shear cell, moving boundary, motor",
     "recipes.md": "callback, hook, video, movie, animation, player, csv, observer, checkpoint, stop condition",
@@ -85,6 +85,37 @@ COMMON = {
     "speed": "m/s",
     "changes": "fields by name",
     "residual": "largest one that is accepted, m/s",
+    "contacts": "of `find_contacts`; None before a search for contacts",
+    "time": "of the scene, s",
+    "step": "number of steps so far",
+    "solved": "whether the contacts have the impulses of the step that begins here",
+    "load": "for which the impulses were solved (`starts.load.Load`); None if it is unknown",
+    "preset": "name of the preset that chose the solver",
+    "stored": "content of the run's file",
+    "rolling_friction": "ρ, m, as of `World`",
+    "every": "1 for each of them, 2 for every second one, and so on",
+    "threads": "number of threads",
+    "slop": "as a multiple of that of the scene",
+    "bias": "share of the penetration that a step removes",
+    "ax": "axes to draw in",
+    "figure": "of `plotting.subplots`",
+    "title": "text above the picture",
+    "names": "of what the picture shows",
+    "data": "result of `compare_starts`",
+    "over": "name of the start by whose θ the others are divided",
+    "count": "number of colours",
+    "x": "quantity, or numbers, of the horizontal axis",
+    "y": "quantity of the vertical axis",
+    "x_unit": "unit of the horizontal axis",
+    "y_unit": "unit of the vertical axis",
+    "middle": "numbers of the curve",
+    "low": "lower end of the interval",
+    "high": "upper end of the interval",
+    "value": "a number > 0",
+    "colours": "RGBA, 0 to 1, (…, 4)",
+    "results": "of a script, as in its results file",
+    "id": 'number of a figure or table, such as "3.7" or "T 5.1"',
+    "claim": "of a results file",
 }
 """Argument -> its meaning where a docstring leaves it to the reader."""
 

@@ -22,6 +22,7 @@ from pathlib import Path
 from deep_contact.figures import staleness
 from deep_contact.figures.figure import INTERRUPTED, common_arguments
 from deep_contact.figures.results import REFERENCE
+from deep_contact.io.argument_parser import Parser
 from deep_contact.io.scripts import choose, find, stem
 
 INTERRUPTS = (INTERRUPTED, -signal.SIGINT)
@@ -67,7 +68,7 @@ def main(arguments=None, folder=HERE):
 def parse(arguments):
     """Parse the command line. Returns the parsed arguments, and the list of arguments to pass on to every script."""
     layout, common = argparse.RawDescriptionHelpFormatter, common_arguments("each script's own")
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=layout, parents=[common])
+    parser = Parser(description=__doc__, formatter_class=layout, parents=[common])
     add = parser.add_argument
     add("--stale", action="store_true", help="list what of data/reference is old")
     add("--references", action="store_true", help="make what of data/reference is old")

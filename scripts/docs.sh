@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The documentation site, with its examples executed, as web pages in build/docs: makes .venv if needed and installs
-# MkDocs. A warning is an error.
+# MkDocs. A warning is an error. DEEP_CONTACT_GALLERY=quick leaves out the longest examples.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/venv.sh

@@ -48,8 +48,9 @@ def fit(scene):
 def cost(scene, end):
     """Return the median time of a solve per contact, ms, in states with few or with many contacts.
 
-    end: `min` for few contacts, `max` for many. Few contacts are those between a quarter and a half of the scene's
-    largest number. With these the overhead of a call is already negligible. Many are those above three quarters.
+    end: `min` for few contacts, `max` for many. A state has few contacts if their number is between a quarter and a
+    half of the scene's largest number. In such a state the overhead of a call is already negligible. A state has many
+    contacts if their number is above three quarters of the largest number.
     """
     contacts, time = np.array(scene["timed contacts"]), np.array(scene["time (ms)"])
     quarter = np.ceil(4 * contacts / contacts.max())

@@ -38,6 +38,16 @@ WAYS = {
 }
 """Name of a way through the grid -> (transfer of `Sph`, method of `sph.gather`, colour, marker, line style)."""
 
+OPTIONS = {
+    "n_bodies": 100, "every": 60, "scenes": 12, "isolated": 100,
+    "kernels": ["poly6", "spiky", "cubic_spline", "wendland_c2", "gaussian"], "spacings": [0.125, 0.25, 0.5],
+    "supports": [0.125, 0.25, 0.5], "charted": [0.125, 0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0],
+}  # fmt: skip
+QUICK = {"every": 40, "scenes": 1, "isolated": 20}
+
+
+# ---- losses of one way through the grid ----
+
 
 def transfer_loss(states: Sequence[State], start: Sph, *, method: str = "bilinear") -> float:
     """Return the mean over states of ‖λ' − λ‖ / ‖λ‖, where λ' are the solved impulses λ after the way through the grid.
@@ -108,6 +118,9 @@ def isolated_contacts(count: int, *, seed: int) -> list[State]:
         impulses = {"normal_impulse": np.array([1.0]), "tangent_impulse": np.array([0.3])}
         states.append(state.replace(contacts=state.contacts._replace(**impulses), solved=True))
     return states
+
+
+# ---- the figure ----
 
 
 def compute(options, seed, jobs, progress):
@@ -223,11 +236,5 @@ def draw(data, options):
     return plotting.legend_below(figure, panels[0], "How much of the impulses does the way through the grid lose?")
 
 
-OPTIONS = {
-    "n_bodies": 100, "every": 60, "scenes": 12, "isolated": 100,
-    "kernels": ["poly6", "spiky", "cubic_spline", "wendland_c2", "gaussian"], "spacings": [0.125, 0.25, 0.5],
-    "supports": [0.125, 0.25, 0.5], "charted": [0.125, 0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0],
-}  # fmt: skip
-QUICK = {"every": 40, "scenes": 1, "isolated": 20}
 FIGURE = Figure("6.3", "Loss of the way through the grid", compute, table, draw, claims, options=OPTIONS, quick=QUICK)
 figures.run_as_script(FIGURE, __name__)

@@ -84,12 +84,6 @@ class Trial:
     recognised: bool = True
 
 
-ROUNDING = 1e-9
-"""Largest rise of the energy that counts as a rounding error, as a share of its initial value."""
-MILD_START = 1e12
-"""Largest factor of `misleading_start` with which the rise of the energy by rounding stays below `ROUNDING`."""
-
-
 # ---- the scenes, and the values of each quantity ----
 
 
@@ -221,6 +215,9 @@ QUANTITIES: dict[str, tuple[str, tuple, Callable[[float, int], Trial]]] = {
 
 OURS_ALONE = ("tolerance", "start, huge", "start, pulling", "start, outside the cone")
 """Quantities that only this package has."""
+
+OPTIONS = {"quantities": list(QUANTITIES), "few": False, "steps": 400}
+QUICK = {"quantities": ["mass", "radius ratio", "speed", "overlap", "sweeps"], "few": True, "steps": 100}
 
 
 # ---- outcomes ----
@@ -364,6 +361,13 @@ def compute(options, seed, jobs, progress):
     return {"units": units, "cells": cells}
 
 
+ROUNDING = 1e-9
+"""Largest rise of the energy that counts as a rounding error, as a share of its initial value."""
+
+MILD_START = 1e12
+"""Largest factor of `misleading_start` with which the rise of the energy by rounding stays below `ROUNDING`."""
+
+
 def unearned(cell):
     """Return the rise of the energy minus the work of position correction, over the energy scale (`measure`).
 
@@ -479,8 +483,6 @@ def draw(data, options):
     return figure
 
 
-OPTIONS = {"quantities": list(QUANTITIES), "few": False, "steps": 400}
-QUICK = {"quantities": ["mass", "radius ratio", "speed", "overlap", "sweeps"], "few": True, "steps": 100}
 FIGURE = Figure("6.6", "Stability at the extremes: what is safe, degraded, failed and refused", compute, table, draw,
                 claims, options=OPTIONS, quick=QUICK)  # fmt: skip
 figures.run_as_script(FIGURE, __name__)

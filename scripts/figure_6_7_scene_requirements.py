@@ -56,7 +56,7 @@ def apart(one: State, other: State) -> float:
 
 
 def ratio(general: np.ndarray, special: np.ndarray) -> dict[str, float]:
-    """Compare the times of a general and a special way of doing the same, (repeats,), s.
+    """Compare the times of one task without a saving (`general`) and with it (`special`), (repeats,) each, s.
 
     Returns {"ratio": median of general over special, "low", "high": its quartiles, "general", "special": least times}.
     """
@@ -234,7 +234,7 @@ def table(data):
 
 
 def draw(data, options):
-    """Draw two panels. Left: the ratio of times for each saving, with quartiles. Right: how far it moves circles."""
+    """Draw two panels. Left: the ratio of times for each saving, with quartiles. Right: how far each moves circles."""
     rows = named_savings(data)
     figure, (left, right) = plotting.subplots(
         1, 2, size=(plotting.PAGE, 0.3 * len(rows) + 1.2), sharey=True, width_ratios=(1.6, 1)

@@ -28,6 +28,7 @@ from deep_contact import parallel
 from deep_contact.__main__ import BAD_FILE, INTERRUPTED, status_of
 from deep_contact.cnn.dataset import PHASES, phase, simulation_path
 from deep_contact.io import simulation_h5
+from deep_contact.io.argument_parser import Parser
 from deep_contact.io.simulation_h5 import DataFileError, simulation_info
 from deep_contact.state import constants
 from deep_contact.stepping import metrics
@@ -177,7 +178,7 @@ def positive(text: str, least: int = 1) -> int:
 
 
 def parse(arguments=None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = Parser(description=(__doc__ or "").split("\n")[0])
     add = parser.add_argument
     add("--simulations", type=positive, metavar="N", help="how many (150; 640 packings)")
     add("--steps", type=positive, metavar="N", help="time steps of each (600)")

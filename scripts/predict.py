@@ -26,6 +26,7 @@ from deep_contact.__main__ import status_of
 from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.evaluation import SWEEPS, velocity_errors
 from deep_contact.cnn.inference import FarFieldModel, load_model
+from deep_contact.io.argument_parser import Parser
 from deep_contact.io.files import replacing
 from deep_contact.plot import plotting
 
@@ -107,7 +108,7 @@ def predict_file(path: Path, model, out: Path, *, pictures: bool = True) -> list
 def main(argv=None) -> int:
     """Run the command line. Returns the exit status. The error of a faulty file does not stop the other predictions."""
     about = (__doc__ or "").partition(": ")[2]
-    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = Parser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("states", nargs="+", type=Path, metavar="STATE.xml", help="state files")
     add("--model", default=None, help='a file, "model" (the default), "far field" or "far field, no past"')

@@ -4,21 +4,21 @@ This script has lists of scenes and settings. `studies.runs` simulates them, and
 of finished runs are stored in the work folder, so that an interrupted study of one commit can be resumed. First,
 several processes compute the errors. Then one process measures the times, on a machine that runs nothing else;
 `--set timed=false` leaves the times out. `--install` alone measures the errors of the stored settings in motions with a
-known result, and writes the table of settings that `dc.simulate` and `dc.recommend` read. Figures 6.1 and 6.2 draw the
-results.
+known result, and writes the table of settings that `dc.simulate` and `dc.recommend` read. `--tolerances` proposes
+smaller tolerances for the presets. Figures 6.1 and 6.2 draw the results.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from math import radians, sin, sqrt
 from pathlib import Path
 
 import numpy as np
 
 from deep_contact import figures
-from deep_contact.accuracy.presets import PRESETS, TABLE, excess
+from deep_contact.accuracy.presets import MARGIN, PRESETS, TABLE, excess, keeping
 from deep_contact.figures import Claim, Figure, results
 from deep_contact.measure.errors import ERRORS
 from deep_contact.measure.settings import name_of
@@ -340,6 +340,59 @@ def installed(data: Mapping, cpu: str) -> dict:
     return {"cpu": cpu, "sizes": runs.sizes_of(data["rows"]), "kinds": kinds, "settings": list(settings.values())}
 
 
+UNUSED = ("creep", "restlessness", "contacts", "forces", "impact")
+"""Errors whose tolerances most settings use in small part, since other errors choose the settings."""
+
+NICE = tuple(digits * 10.0**power for power in (-2, -1, 0, 1) for digits in (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8))
+"""Tolerances that are tried."""
+
+
+def tighter(rows: list[Mapping], *, price: float = 1.0, names: Iterable[str] = UNUSED) -> dict[str, dict[str, float]]:
+    """Propose tolerances that are at most as large as those of the presets: name of the preset -> tolerances.
+
+    rows: rows of the study. price: largest factor by which the tolerances of one error may raise the cost of a preset,
+    as the geometric mean over all kinds and numbers of circles. With 1, all settings stay as they are. names: errors
+    whose tolerances may change. Each gets the least of `NICE` which is at least that of the next tighter preset, and
+    with which every kind still has a setting that is kept with as much margin. The errors are taken one by one, and
+    each has to keep the tolerances that were reduced before it.
+    """
+    cells = [of for (_, _, engine), of in runs.candidates_by_cell(rows).items() if engine is None]
+
+    def chosen(tolerances):
+        """Return, for each cell, the margin of its cheapest setting, 2 if none is kept, and its cost."""
+        found = []
+        for best in (min(keeping(of, tolerances), key=lambda one: one["us"], default=None) for of in cells):
+            over = 2.0 if best is None else float(excess(best["errors"], tolerances) > MARGIN)
+            found.append((over, np.nan if best is None else best["us"]))
+        return np.array(found).T
+
+    proposed: dict[str, dict[str, float]] = {}
+    least = dict.fromkeys(names, 0.0)
+    for preset, tolerances in reversed(PRESETS.items()):
+        mine = dict(tolerances)
+        for name in names:
+            margin, cost = chosen(mine)
+            for value in (value for value in NICE if least[name] <= value < mine[name]):
+                now, dearer = chosen(mine | {name: value})
+                if (now <= margin).all() and np.nanmean(np.log(dearer / cost)) <= np.log(price):
+                    mine[name] = value
+                    break
+        proposed[preset] = least = mine
+    return {preset: proposed[preset] for preset in PRESETS}
+
+
+def tolerance_rows(rows: list[Mapping]) -> list[list[str]]:
+    """Return the rows of a table: each error of `UNUSED`, and its tolerance in each preset today and as proposed.
+
+    The proposals are those without a price, and those that may cost 1 % for each error.
+    """
+    listed = [["error", "tolerances", *PRESETS]]
+    proposals = {"today": PRESETS, "for nothing": tighter(rows), "for 1 % each": tighter(rows, price=1.01)}
+    for name in UNUSED:
+        listed += [[name, what, *(f"{of[preset][name]:g}" for preset in PRESETS)] for what, of in proposals.items()]
+    return listed
+
+
 def claims(data: Mapping) -> Iterator[Claim]:
     """Yield two claims for each number of circles.
 
@@ -393,5 +446,8 @@ def install() -> None:
 
 if __name__ == "__main__" and sys.argv[1:] == ["--install"]:
     install()
+elif __name__ == "__main__" and sys.argv[1:] == ["--tolerances"]:
+    for line in tolerance_rows(results.reference("run_tradeoff")["data"]["rows"]):
+        print("  ".join(f"{text:>12}" for text in line))
 else:
     figures.run_as_script(FIGURE, __name__)

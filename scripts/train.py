@@ -25,6 +25,7 @@ from pathlib import Path
 
 from deep_contact.__main__ import INTERRUPTED, status_of
 from deep_contact.cnn.training.config import RECIPES, TrainingConfig, config_of, recipe
+from deep_contact.io.argument_parser import Parser
 
 QUICK_DATA = "--simulations 12 --steps 250 --bodies 40 60 --seed 1 --jobs 1".split()
 """Arguments of `generate_data.py` with which --quick makes its data."""
@@ -40,10 +41,10 @@ for _small in QUICK.values():
     _small |= {"validation_states": 100, "fractions": (0.7, 0.15, 0.15)}
 
 
-def arguments() -> argparse.ArgumentParser:
+def arguments() -> Parser:
     """Return the parser, with an option for every field of `TrainingConfig`, and the options of this script."""
     layout = {"formatter_class": argparse.RawDescriptionHelpFormatter, "usage": "%(prog)s [--quick] [--OPTION VALUE …]"}
-    parser = argparse.ArgumentParser(description=__doc__, argument_default=argparse.SUPPRESS, **layout)
+    parser = Parser(description=__doc__, argument_default=argparse.SUPPRESS, **layout)
     add = parser.add_argument
     add("--quick", action="store_true", default=False, help="a small network and its data, made in <out>/data")
     add("--recipe", choices=RECIPES, help="settings by name (far field)")

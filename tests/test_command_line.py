@@ -57,7 +57,10 @@ def test_help_names_the_program_as_it_was_called(program, named, monkeypatch, ca
     assert sys.argv == [program]
 
 
-@pytest.mark.parametrize("command", ["predict", "generate-data", "train", "figure all"])
+@pytest.mark.parametrize(
+    "command",
+    ["predict", *(pytest.param(name, marks=pytest.mark.slow) for name in ("generate-data", "train", "figure all"))],
+)
 def test_python_may_leave_docstrings_out(command):
     assert run_python("-OO", "-m", "deep_contact", *command.split(), "--help").stdout.startswith("usage:")
 
@@ -286,6 +289,14 @@ def test_an_accuracy_picks_the_solver(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["simulat"], "; did you mean simulate?"),
+        (["simulate", "--stps", "3"], "simulate: error: unrecognized arguments: --stps; did you mean --steps?"),
+        (["simulate", "--acuracy=fast"], "unrecognized arguments: --acuracy=fast; did you mean --accuracy?"),
+        (["simulate", "a.xml", "b.xml"], "unrecognized arguments: b.xml\n"),
+        (["trade", "--sceen", "drum"], "trade: error: unrecognized arguments: --sceen; did you mean --scene?"),
+        (["trade", "--scene", "hoper"], "--scene: expected one of circles_in_box, "),
+        (["sample", "rest"], "sample: expected one of impact_154, "),
+        (["simulate", "--every", "0"], "--every: expected an integer >= 1, got 0"),
         (["simulate", "--out", "run.txt"], "--out: expected"),
         (["simulate", "--out", "no/run.h5"], "--out: expected"),
         (["simulate", "--solver", "pgs"], "--solver: expected"),

@@ -1,6 +1,7 @@
 """The packages that each job imports: no job loads a package that it does not need."""
 
 import inspect
+import re
 from pathlib import Path
 
 import pytest
@@ -59,9 +60,13 @@ for name, (module, of) in lazy.homes(dc.__file__).items():
 """
 
 
+@pytest.mark.slow
+def test_every_public_name_is_itself_once_every_module_is_imported():
+    run_python("-c", EVERY_MODULE, environment={"TF_CPP_MIN_LOG_LEVEL": "3"})
+
+
 def test_no_module_takes_the_place_of_a_public_name():
     """A package `deep_contact.step` would be what `dc.step` means once it is imported."""
-    run_python("-c", EVERY_MODULE, environment={"TF_CPP_MIN_LOG_LEVEL": "3"})
     modules = {path.stem for path in PACKAGE.rglob("*.py")} | {
         path.name for path in PACKAGE.rglob("*") if path.is_dir()
     }
@@ -75,3 +80,17 @@ def test_a_public_name_may_differ_from_that_of_its_module():
     assert "starts" not in dir(dc)
     with pytest.raises(AttributeError, match="no attribute 'magic'"):
         dc.magic  # noqa: B018
+
+
+def test_every_module_has_tests_of_its_name_or_names_them():
+    """A module a/b.py has tests/a/test_b.py, or a line `Tests:` with the files that test it. All these files exist."""
+    without = []
+    for path in PACKAGE.rglob("*.py"):
+        module, text = path.relative_to(PACKAGE), path.read_text(encoding="utf-8")
+        if path.name == "__init__.py" and not re.search(r"^(def|class) ", text, re.MULTILINE):
+            continue
+        named = re.findall(r"tests/[\w/]+\.py", " ".join(re.findall(r"^Tests: ([^\"]*)", text, re.MULTILINE)))
+        own = ROOT / "tests" / module.parent / f"test_{path.stem}.py"
+        if not (own.is_file() or named) or not all((ROOT / name).is_file() for name in named):
+            without.append(str(module))
+    assert without == []

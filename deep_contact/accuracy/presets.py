@@ -313,12 +313,11 @@ def parts_for(numbers: SceneNumbers, dt: float) -> int:
 def keeping(candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True) -> list[dict]:
     """Return the candidates whose "errors" are within the tolerances.
 
-    margin: whether candidates whose errors are within `MARGIN` times the tolerances are returned alone, if there are
+    margin: whether to return only the candidates whose errors are within `MARGIN` times the tolerances, if there are
     any.
     """
-    shares = (MARGIN, 1.0) if margin else (1.0,)
-    kept = ([one for one in candidates if excess(one["errors"], tolerances) <= most] for most in shares)
-    return next(filter(None, kept), [])
+    kept = [one for one in candidates if excess(one["errors"], tolerances) <= 1.0]
+    return [one for one in kept if margin and excess(one["errors"], tolerances) <= MARGIN] or kept
 
 
 def excess(errors: Mapping[str, float | None], tolerances: Mapping[str, float]) -> float:
@@ -386,14 +385,14 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff, rolls: 
     best = min(candidates, key=lambda one: excess(one["errors"], PRESETS["reference"]))
     each = min(one["us"] / (one["solver"].sweeps * one["solver"].substeps) for one in candidates)
     us = each * stiff.sweeps * stiff.substeps
-    return [{"solver": stiff, "start": "builtin", "us": us, "errors": best["errors"], "dt": TIME_STEP}]
+    return [best | {"solver": stiff, "start": "builtin", "us": us, "dt": TIME_STEP}]
 
 
 def _near(n: int, kinds: Sequence[str]) -> tuple[set[str], str, str]:
     """Return (kinds, smaller size, larger size): kinds of the study, and the two sizes of its scenes around n, as text.
 
-    The result has those of `kinds` that the study has, or all kinds of the study if it has none of them. Both sizes are
-    the nearest size if n lies outside of the sizes that the study has for these kinds.
+    The result has those of `kinds` that the study has. If the study has none of them, the result has all kinds of the
+    study. Both sizes are the nearest size if n lies outside of the sizes that the study has for these kinds.
     """
     sizes_of = installed()["kinds"]
     wanted = sizes_of.keys() & kinds or set(sizes_of)
@@ -407,10 +406,15 @@ def kinds_of(numbers: SceneNumbers) -> list[str]:
 
     Scenes with segments, a dam or two densities need better settings than piles, and the study ran them with settings
     that it did not run on piles. A scene with one of these features therefore does not count as a pile.
+
+    Segments at rest that leave no opening for a circle are a terrain. With an opening, the scene lies between a terrain
+    and a hopper.
     """
     if numbers.gravity == 0.0:
         return ["gas"]
-    walls = ["drum"] if numbers.is_dragged else ["terrain", "hopper"] if numbers.still else []
+    smallest = numbers.radius / numbers.radius_ratio  # or larger
+    ground = ["terrain", "hopper"] if numbers.opening > 2.0 * smallest else ["terrain"]
+    walls = ["drum"] if numbers.is_dragged else ground if numbers.still else []
     walls += ["piston"] if numbers.moving else []
     kinds = [kind for kind in walls if kind in installed()["kinds"]]  # a small study may not have these kinds
     kinds += _of_densities(numbers)

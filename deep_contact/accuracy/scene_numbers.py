@@ -12,6 +12,7 @@ from deep_contact.state.arrays import Bodies
 from deep_contact.state.materials import in_scene
 from deep_contact.state.scales import mean
 from deep_contact.state.state import State
+from deep_contact.state.world import World
 
 
 class SceneNumbers(NamedTuple):
@@ -38,6 +39,7 @@ class SceneNumbers(NamedTuple):
     | squares       | sum of the squares of the radii                                              | m²   |
     | height, width | extent of all centres, up and across                                         | m    |
     | box_width     | extent of the box across gravity                                             | m    |
+    | opening       | widest gap in the chain of segments at rest from wall to wall (`_opening`)   | m    |
     """
 
     count: int
@@ -62,6 +64,7 @@ class SceneNumbers(NamedTuple):
     height: float
     width: float
     box_width: float
+    opening: float
 
 
 def scene_numbers(state: State) -> SceneNumbers:
@@ -87,8 +90,36 @@ def scene_numbers(state: State) -> SceneNumbers:
     return SceneNumbers(
         bodies.count, state.dt, gravity, *map(float, pairs), any(speeds), len(world.segments) - moving,
         moving, mean(bodies.radius), *measured, max(fastest, *speeds, 0.0) if friction.any() else fastest,
-        squares, height, width, high - low if abs(g_x) > abs(g_y) else right - left,
+        squares, height, width, high - low if abs(g_x) > abs(g_y) else right - left, _opening(world),
     )  # fmt: skip
+
+
+def _opening(world: World) -> float:
+    """Return the widest gap in the chain of segments at rest that reaches from wall to wall, across gravity, m.
+
+    The chain has those segments that reach further to the right than all that begin left of them. Its gaps are the
+    distances from the end of a segment to the next segment, and those to the walls. Without gravity, or without
+    segments at rest, the result is 0. Gravity counts as parallel to the axis that it is nearer to.
+    """
+    if not (world.segments and any(world.gravity)):
+        return 0.0
+    still, velocities = np.reshape(world.segments, (-1, 4)), np.reshape(world.segment_velocities, (-1, 4))
+    if len(velocities):
+        still = still[~velocities.any(axis=1)]
+    if not len(still):
+        return 0.0
+    across = int(abs(world.gravity[0]) > abs(world.gravity[1]))
+    ends = np.reshape(still, (-1, 2, 2))[:, :, [across, 1 - across]]
+    ends = np.take_along_axis(ends, np.argsort(ends[:, :, :1], axis=1), axis=1)
+    left, right = ends[np.argsort(ends[:, 0, 0], kind="stable")].swapaxes(0, 1)
+    reaches_further = np.append(True, right[1:, 0] > np.maximum.accumulate(right[:-1, 0]))
+    left, right = left[reaches_further], right[reaches_further]
+    (x, y), (x_0, y_0), (x_1, y_1) = right[:-1].T, left[1:].T, right[1:].T
+    nearest = np.maximum(x, x_0)
+    share = np.divide(nearest - x_0, x_1 - x_0, out=np.zeros(len(x)), where=x_1 > x_0)
+    height = np.where(x_1 > x_0, y_0 + share * (y_1 - y_0), np.clip(y, np.minimum(y_0, y_1), np.maximum(y_0, y_1)))
+    gaps = np.hypot(nearest - x, height - y)
+    return float(max(0.0, left[0, 0] - world.box[across], world.box[across + 2] - right[-1, 0], gaps.max(initial=0.0)))
 
 
 @njit(cache=True, error_model="numpy")
@@ -121,7 +152,8 @@ def _measured(position, velocity, mass, radius, up):
             if mass[i] / radius[i] ** 2 > middle:
                 heights += height
                 dense += 1
-        layers = (heights / dense - (all_heights - heights) / (n - dense)) / (high - low)
+        if 0 < dense < n:  # densities that differ by rounding may all be on one side of their mean
+            layers = (heights / dense - (all_heights - heights) / (n - dense)) / (high - low)
     return (
         largest / smallest, lightest, heaviest / lightest, densest / lightest_density, layers,
         math.sqrt(fastest), squares, high - low, right - left,

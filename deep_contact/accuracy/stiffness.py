@@ -20,7 +20,7 @@ from deep_contact.accuracy.scene_numbers import SceneNumbers, scene_numbers
 from deep_contact.solvers import NNCG, PGS
 from deep_contact.state.arrays import Bodies
 from deep_contact.state.scales import FOLLOWS_SCENE
-from deep_contact.state.state import State
+from deep_contact.state.state import State, native
 from deep_contact.stepping.problem import contacts_of
 
 MASS_RATIO = 100.0
@@ -135,5 +135,5 @@ def _load(scene: State) -> float:
 def _is_heap(scene: State, high: float, wide: float) -> bool:
     if high <= HEAP or math.sqrt(0.75) * scene.bodies.count >= FILLED * high * wide:
         return False
-    contacts = scene.contacts if scene.contacts is not None else contacts_of(scene)
+    contacts = scene.contacts if scene.contacts is not None else contacts_of(native(scene))
     return contacts.count > TOUCHING * scene.bodies.count

@@ -72,11 +72,12 @@ def force_bounds(
 ) -> ForceBounds:
     """Return bounds on λ_n and λ_t of contacts: their least and largest values over all impulses that give one motion.
 
-    This motion is the state's exact motion: that of its impulses if their `metrics.residual` is at most 1e-8 m/s.
-    Otherwise, and for a state that is not solved, `dc.solve_exactly` computes it. If a contact separates faster than
-    1e-6 m/s, a hundred times that residual, its impulse is 0. If it slides faster than 1e-6 m/s, its impulse lies on
-    the edge of Coulomb's cone that opposes the sliding. If it does neither, its impulse may be any in the cone, so that
-    its bounds may lie too far apart, but never too close together.
+    This motion is the exact motion of the state. If the `metrics.residual` of the state's impulses is at most 1e-8 m/s,
+    the motion that these impulses give counts as exact. Otherwise, and for a state that is not solved,
+    `dc.solve_exactly` computes the motion. If a contact separates faster than 1e-6 m/s, its impulse is 0. If a contact
+    slides faster than 1e-6 m/s, its impulse lies on the edge of Coulomb's cone that opposes the sliding. The impulse of
+    any other contact may lie anywhere in the cone. Its bounds may therefore lie too far apart, but never too close
+    together.
 
     contacts: indices of the contacts; None stands for all. jobs: number of processes, or an executor. Raises
     ValueError, which names the argument, for wrong arguments and if no exact motion is found. Raises

@@ -143,8 +143,9 @@ def coordination(state: State) -> np.ndarray:
 
 
 def name_of(state: State, body: int) -> int | str:
-    """Return the name of a body for users: the index of a circle, the name of a wall, or "segment 3". body: as in
-    `Contacts`.
+    """Return the name of a body for users: the index of a circle, the name of a wall, or "segment 3".
+
+    body: value of `Contacts.body_a` or `Contacts.body_b`.
     """
     return body_name(int(body), state.bodies.count)
 

@@ -40,7 +40,7 @@ from deep_contact.state.checks import check_limits, check_state
 from deep_contact.state.equality import by_value
 from deep_contact.state.materials import at_contacts, largest
 from deep_contact.state.state import State
-from deep_contact.state.validation import expect, floats, integer, number
+from deep_contact.state.validation import brief, expect, floats, integer, number
 from deep_contact.stepping import metrics
 from deep_contact.stepping.convergence import ConvergenceRecord
 from deep_contact.stepping.problem import ContactSolution, solve, step_problem
@@ -138,8 +138,9 @@ def solve_exactly(
         if state.contacts is None:
             raise ValueError("state.contacts: expected the contacts to have been found, got None (see dc.step)")
         state = check_limits(check_state(state))
-        smooth = largest(state.world.rolling_friction) == 0.0
-        expect(smooth, "rolling_friction: expected 0 for exact solutions, which have no rolling resistance")
+        rolling = state.world.rolling_friction
+        expected = "0 for exact solutions, which have no rolling resistance"
+        expect(largest(rolling) == 0.0, f"rolling_friction: expected {expected}, got {brief(rolling)}")
         problem = check_problem(contact_problem(state))
     else:
         raise ValueError(f"state: expected a State or a ContactProblem, got {state!r}")

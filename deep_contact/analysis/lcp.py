@@ -93,6 +93,39 @@ def natural_residual(problem: ContactProblem, impulse: np.ndarray) -> float:
     return float(np.max(np.abs(wrong) * diagonal, initial=0.0))
 
 
+def approach(problem: ContactProblem, impulse: np.ndarray) -> float:
+    """Return the largest speed at which two bodies in contact still approach, m/s: max(0, −u_n) over all contacts.
+
+    It is how far the velocities are from being feasible. u = A λ + b. impulse: λ, (2 m,), N·s.
+    """
+    return float(np.max(-(problem.A @ impulse + problem.b)[::2], initial=0.0))
+
+
+def signorini_gap(problem: ContactProblem, impulse: np.ndarray) -> float:
+    """Return Σ |λ_n u_n| over all contacts, J: how far the normal impulses are from Signorini's complementarity.
+
+    A contact adds to it if it pushes although its bodies separate or approach. Without impulses it is 0, so that it
+    says little without `approach`. u = A λ + b. impulse: λ, (2 m,), N·s. ContactBench (Le Lidec and others, Contact
+    models in robotics: a comparative analysis, 2023) takes the largest contact in place of the sum.
+    """
+    velocity = problem.A @ impulse + problem.b
+    return float(np.abs(impulse[::2] * velocity[::2]).sum())
+
+
+def dissipation_gap(problem: ContactProblem, impulse: np.ndarray) -> float:
+    """Return Σ |μ λ_n |u_t| + λ_t u_t| over all contacts, J: the energy by which friction misses the most dissipation.
+
+    By the principle of maximum dissipation, λ_t minimises λ_t u_t over |λ_t| ≤ μ λ_n; the minimum is −μ λ_n |u_t|
+    (Moreau 1973). It is 0 for a contact that sticks, and for one that slips with all its friction against the slip.
+    Without impulses it is 0. For impulses in the friction cone, `signorini_gap` and this gap add up to the
+    complementarity of De Saxcé's bipotential, λ · (u + (μ |u_t|, 0)), if no λ_n u_n is negative. u = A λ + b. impulse:
+    λ, (2 m,), N·s.
+    """
+    velocity, normal = problem.A @ impulse + problem.b, np.maximum(impulse[::2], 0.0)
+    most = problem.friction * normal * np.abs(velocity[1::2])
+    return float(np.abs(most + impulse[1::2] * velocity[1::2]).sum())
+
+
 def contact_problem(state: State) -> ContactProblem:
     """Return the `ContactProblem` of a state that has contacts."""
     if state.contacts is None:

@@ -2,10 +2,9 @@
 
 As long as no contact changes its state, the derivative dλ of λ by t satisfies one linear equation for each row i. If
 the row's velocity stays 0, the equation is row i of (A + ε diag(A)) dλ = −q. If λ stays on a bound, the equation is
-that of the bound.
-When a contact changes its state, one or two equations are replaced. Each replacement changes the solution by a multiple
-of a column of the inverse (Sherman and Morrison 1950). SuperLU therefore factorises the matrix only once a step, and
-again after `REFRESH` replaced equations.
+that of the bound. When a contact changes its state, one or two equations are replaced. Each replacement changes the
+solution by a multiple of a column of the inverse (Sherman and Morrison 1950). SuperLU therefore factorises the matrix
+only once a step, and again after `REFRESH` replaced equations.
 
 Tests: tests/analysis/test_exact.py
 """

@@ -1,7 +1,7 @@
 """The networks: an exact copy of the thesis's network, and the far-field network, which is ours. `build` makes both.
 
-Both take images (batch, n_y, n_x, channels). They consist of stock Keras layers only. So their files hold no code and
-can be opened with `keras.models.load_model(path, compile=False)`.
+Both take images (batch, n_y, n_x, channels). They consist of stock Keras layers only. So their files contain no code,
+and can be opened with `keras.models.load_model(path, compile=False)`.
 """
 
 from __future__ import annotations

@@ -81,7 +81,7 @@ def _apply_limit() -> None:
 
 @contextmanager
 def _silent():
-    """Discard all output to file descriptor 2, the standard error, also what C++ code writes."""
+    """Discard all output to file descriptor 2, the standard error, including the output of C++ code."""
     try:
         before = os.dup(2)
     except OSError:  # the process has no standard error, as under pythonw

@@ -4,10 +4,10 @@ A tap is an input node that the kernel, the 3 × 3 weights, covers at an output 
 `Program.layers` (`LAYER`). It points to the index of each output node's first tap in the input, and to weights in
 groups of eight or sixteen features.
 
-The compiled loop computes one group of features at eight output nodes at a time. It holds one sum per node, a SIMD
-vector with the features of the group, in registers until all taps are added. So nearly every operation is a
-multiply-add of whole SIMD registers. A transposed convolution becomes four layers, one for each parity of the output's
-row and column. So no multiplication is spent on the zeros that a transposed convolution inserts between input nodes.
+The compiled loop computes one group of features at eight output nodes at a time. One sum per node, a SIMD vector with
+the features of the group, stays in registers until all taps are added. So nearly every operation is a multiply-add of
+whole SIMD registers. A transposed convolution becomes four layers, one for each parity of the output's row and column.
+So no multiplication is spent on the zeros that a transposed convolution inserts between input nodes.
 
 An image is stored with a margin of zeros, one node wide. The margin at the end of a row also serves as the margin at
 the beginning of the next row. A residual block needs its input both unchanged and after ReLU, so both images are
@@ -157,7 +157,7 @@ class Program:
         return made
 
     def _block(self, name, images):
-        """Add a residual block, x + conv(ReLU(conv(ReLU(x)))). Returns the images of its result and of ReLU of it.
+        """Add a residual block, x + conv(ReLU(conv(ReLU(x)))). Returns the images of its result and ReLU of its result.
 
         images: image of x, and image of ReLU(x).
         """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from threading import Lock
 from typing import NamedTuple
@@ -36,8 +36,8 @@ class Store:
 
     The first access to a state reads and checks its whole simulation. The simulations that were used last stay in
     memory, decompressed.
-    folder: path of the folder. cache_bytes: limit of this memory; one simulation is kept even if it is larger. Raises
-    DataFileError if the folder has no simulation.
+    folder: path of the folder. cache_bytes: limit of this memory; the last simulation stays even if it is larger.
+    Raises DataFileError if the folder has no simulation.
     """
 
     def __init__(self, folder, *, cache_bytes: int = 8 * 2**30):
@@ -112,8 +112,7 @@ def start_errors(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     """Return the relative error ‖λ₀ − λ‖ / ‖λ‖ of the start of each state, (T,).
 
     λ are the solved impulses of a state, and λ₀ the impulses from which its solution began. The error is 0 if both are
-    zero, and infinite if only λ is zero. arrays: the arrays of a
-    `StoredSimulation`.
+    zero, and infinite if only λ is zero. arrays: the arrays of a `StoredSimulation`.
     """
     off = (arrays["normal_start"] - arrays["normal_impulse"]) ** 2
     off += (arrays["tangent_start"] - arrays["tangent_impulse"]) ** 2
@@ -154,7 +153,7 @@ class Split(NamedTuple):
     test: tuple[int, ...]
 
 
-def split_by_simulation(sims, *, fractions=(0.8, 0.1, 0.1), seed: int = 0) -> Split:
+def split_by_simulation(sims: Iterable[int], *, fractions: Sequence[float] = (0.8, 0.1, 0.1), seed: int = 0) -> Split:
     """Split simulations at random into training, validation and test sets.
 
     All states of a simulation go to the same set, because they are similar. sims: numbers of the simulations.

@@ -242,8 +242,8 @@ class LearnedModel:
 class FarFieldModel(LearnedModel):
     """A far-field network (`cnn.far_field`). It corrects impulses of the step before, which a state's contacts carry.
 
-    `predict` warns if the contacts carry no such impulses. For such states `warm_start.FarFieldNoPast`
-    predicts impulses from positions alone.
+    `predict` warns if the contacts carry no such impulses. For such states `warm_start.FarFieldNoPast` predicts
+    impulses from positions alone.
     """
 
     def predict(self, state, *, project=True, problem=None) -> Any:

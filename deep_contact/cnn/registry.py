@@ -66,8 +66,8 @@ def network_file(model=None) -> Path:
 def registered() -> dict[str, dict]:
     """Return the entries of registry.json by the name of the network, {} if there is no such file.
 
-    An entry is {"file": path relative to the models folder, "sha256": of the file, "command": the command that trained
-    the network, "data": hash of the training data}. Raises ModelFileError if registry.json holds anything else.
+    An entry is {"file": path relative to the models folder, "sha256": digest of the file, "command": the command that
+    trained the network, "data": hash of the training data}. Raises ModelFileError if registry.json has other contents.
     """
     paths = [folder / "registry.json" for folder in (ROOT / "models", *_folders())]
     path = next((path for path in paths if path.is_file()), None)

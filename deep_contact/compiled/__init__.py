@@ -1,4 +1,9 @@
-"""What Numba needs and no physicist has to read: functions whose machine code is kept, and vector instructions."""
+"""`njit`, the decorator of compiled functions, whose machine code is cached in files.
+
+The other modules of this folder change or extend Numba's compiler. No module here has any physics.
+
+Tests: tests/compiled/test_code_cache.py, tests/compiled/test_target.py, tests/compiled/test_lean.py
+"""
 
 import multiprocessing
 import sys
@@ -22,8 +27,8 @@ _NEEDED = {"x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe")
 def use_target(file: Path) -> None:
     """Let Numba compile for the processor that a file names, in this process, if this processor can run such code.
 
-    Only wheels that bring machine code have the file (`scripts/wheel_with_code.sh`). The variable NUMBA_CPU_NAME goes
-    first. Code that Numba has compiled before in this process stays as it is.
+    Only wheels with machine code have the file (`scripts/wheel_with_code.sh`). The variable NUMBA_CPU_NAME has
+    precedence. Code that Numba has compiled before in this process stays as it is.
     """
     if config.CPU_NAME is None and file.is_file():
         target, features = file.read_text().strip(), get_host_cpu_features()
@@ -54,7 +59,10 @@ finally:
 
 
 class Announcement(event.Listener):
-    """Says one line by `echo` once the physics, which no cache had, take Numba longer than `PATIENCE`."""
+    """Prints a line once Numba has compiled for longer than `PATIENCE`, when it compiles a function of `PHYSICS`.
+
+    echo: function that prints the line.
+    """
 
     is_made, running, begun = False, 0, 0.0
 
@@ -62,7 +70,7 @@ class Announcement(event.Listener):
         self.echo = echo
 
     def make(self) -> None:
-        """Say it, unless it has been said."""
+        """Print the line, unless it has been printed."""
         if not self.is_made:
             self.is_made = True
             self.echo(f"deep_contact: compiling for this kind of scene and solver, once; {ESTIMATE}")
@@ -80,14 +88,14 @@ class Announcement(event.Listener):
 
 _announcement = Announcement(lambda line: print(line, file=sys.stderr, flush=True))
 _process = multiprocessing.current_process()
-if multiprocessing.parent_process() is None or _process.name.endswith("-1"):  # one process of a pool says it
+if multiprocessing.parent_process() is None or _process.name.endswith("-1"):  # only one process of a pool prints it
     event.register("numba:compile", _announcement)
 else:
     _announcement.is_made = True
 
 
 class _Dispatcher(LeanDispatcher):
-    """A function that is compiled with the changes of Numba that this package needs, and that no other one sees."""
+    """A compiled function. While Numba compiles it, Numba's compiler has the changes that this package needs."""
 
     def make_inner(self, options):
         inner = super().make_inner(options)
@@ -105,18 +113,18 @@ class _Dispatcher(LeanDispatcher):
 
 
 def njit(function=None, *, cache=False, **options):
-    """`numba.njit` for functions of this package, and for those that call them.
+    """Return a compiled function, as `numba.njit` does. For functions of this package, and functions that call them.
 
-    Its machine code is kept by a `CodeCache`, and hands results over by `boxing.safe_results`.
+    With cache=True, a `CodeCache` stores the machine code. Compiled code returns its results by `boxing.safe_results`.
     """
     if function is None:
         return partial(njit, cache=cache, **options)
     if config.DISABLE_JIT:
         return function
-    # Numba gives a function that names no fast-math flags those of its first caller. Then its bits would depend on what
-    # the process compiled before. So a function without flags says so. It does the same with `_nrt`, whether references
-    # to arrays are counted: a function that returns an array has to count them, whoever calls it first.
-    # Nothing takes these functions by a pointer of C, whose wrappers took a twentieth of the time of compiling.
+    # A function without fast-math flags would get those of its first caller from Numba. Its bits would then depend on
+    # what the process compiled before. So every function gets flags here. The same holds for `_nrt`, whether references
+    # to arrays are counted: a function that returns an array has to count them, whichever function calls it first.
+    # No caller takes these functions by a pointer of C, whose wrappers took a twentieth of the time of compiling.
     fixed = {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True}
     options = {"fastmath": False, "_nrt": True} | options | fixed
     dispatcher = _Dispatcher(function, targetoptions=options)

@@ -6,7 +6,7 @@ Tests: tests/run/test_simulator.py
 from __future__ import annotations
 
 OFTEN = 50
-"""Number of calls after which the types of the arguments are determined, once. This takes as long as so many calls."""
+"""Number of calls after which the types of the arguments are determined, once. To do this takes as long as 50 calls."""
 
 
 class Direct:

@@ -79,7 +79,7 @@ class _LazyLibrary(JITCodeLibrary):
         self._finalized = True
 
     def _load(self) -> None:
-        """Make the machine code, unless the cache had it, and give it to the process."""
+        """Make the machine code, unless the cache has it, and add it to the code of the process."""
         self._is_loaded = True
         self._dynamic_globals.clear()  # Numba finds them again
         super()._finalize_final_module()

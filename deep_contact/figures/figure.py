@@ -32,6 +32,7 @@ import numpy as np
 from deep_contact.figures import results, staleness
 from deep_contact.figures.results import Claim
 from deep_contact.io import provenance
+from deep_contact.io.argument_parser import Parser
 from deep_contact.parallel import cores, parallel_map, progress_bar, seeds  # noqa: F401 (scripts of users take them from here)
 from deep_contact.plot import plotting
 from deep_contact.state.validation import brief, one_of
@@ -287,9 +288,9 @@ def cell(value) -> str:
     return str(value)
 
 
-def _parser(figure: Figure) -> argparse.ArgumentParser:
+def _parser(figure: Figure) -> Parser:
     known = "\n".join(_described(figure.id, name, value) for name, value in figure.options.items())
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         description=f"{figure.heading}.",
         epilog=f"settings and their values without --quick:\n{known}" if known else None,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -300,12 +301,12 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
     return parser
 
 
-def common_arguments(seed: int | str) -> argparse.ArgumentParser:
+def common_arguments(seed: int | str) -> Parser:
     """Return a parser with the options that all scripts have, to be passed as a parent of a script's parser.
 
     seed: the default of `--seed` that the help text names.
     """
-    parser = argparse.ArgumentParser(add_help=False)
+    parser = Parser(add_help=False)
     add = parser.add_argument
     add("--quick", action="store_true", help="smaller runs, each within a minute")
     add("--replot", action="store_true", help="judge and draw again from the stored results alone")
@@ -316,7 +317,10 @@ def common_arguments(seed: int | str) -> argparse.ArgumentParser:
 
 
 def meaning(id: str, name: str) -> str:
-    """Return the meaning and the unit of a setting, "" if they are unknown. id: the figure's. name: the setting's."""
+    """Return the meaning and the unit of a setting, or "" if they are unknown.
+
+    id: id of the figure. name: name of the setting.
+    """
     return MEANINGS.get(f"{id} {name}", MEANINGS.get(name, ""))
 
 

@@ -164,13 +164,14 @@ def everywhere() -> dict[str, str]:
 
 @cache
 def made_by(script: Path | None = None) -> dict:
-    """Return the digests of the code behind a script's results, which `reason` compares.
+    """Return digests of the code that computes the results of a script. `reason` compares them with stored digests.
 
-    Returns {} if no script runs, or outside of a checkout.
+    script: path of the script; by default the script that runs now. The result is {} if no script runs, or if the
+    package is not in a checkout. Otherwise its entries are
 
-    script: path of the script; by default the script that runs now. The result has the keys "code", the statements in
-    modules that the golden runs do not import; "held", one digest of all statements in modules that they import; and
-    "golden", the digest of the bits of the golden runs.
+    * "code": the digest of each statement in the modules that the golden runs do not import;
+    * "held": one digest of all statements in the modules that the golden runs import;
+    * "golden": the digest of the bits of the golden runs, if there is a record of them.
     """
     script = script or Path(getattr(sys.modules["__main__"], "__file__", None) or "none").resolve()
     is_checkout = (ROOT / "deep_contact").is_dir()
@@ -219,7 +220,7 @@ def commands() -> dict[str, list]:
 
 @cache
 def made(name: str) -> dict:
-    """Return the provenance that a results file in data/reference stores. name: of the file, without suffix."""
+    """Return the provenance that a results file in data/reference stores. name: name of the file, without suffix."""
     return json.loads((results.REFERENCE / f"{name}.json").read_text(encoding="utf-8"))["provenance"]
 
 
@@ -233,7 +234,7 @@ def processor() -> str:
 def why_old(name: str) -> str:
     """Return the reason why a results file in data/reference is old, or "" if it is not old.
 
-    name: of the file, without suffix. A file that `commands` does not list is never called old.
+    name: name of the file, without suffix. A file that `commands` does not list is never called old.
     """
     return reason(made(name), commands()[name][0], is_time=name in TIMES) if name in commands() else ""
 

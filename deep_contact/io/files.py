@@ -16,6 +16,21 @@ class FileError(ValueError):
     """Error: a file does not contain what it should. The message names file, field and value."""
 
 
+def path_of(path: str | os.PathLike) -> Path:
+    """Return `path` as a Path. Raises ValueError if it is neither a text nor a path."""
+    if not isinstance(path, (str, os.PathLike)):
+        from deep_contact.state.validation import brief  # here, since the command line starts without NumPy
+
+        raise ValueError(f"path: expected the path of a file, as a text or a Path, got {brief(path)}")
+    return Path(path)
+
+
+def check_ending(path: str | os.PathLike, endings: tuple[str, ...], hint: str) -> None:
+    """Raise ValueError unless the name of a file ends as its content needs. hint: what writes other kinds of files."""
+    if not path_of(path).name.endswith(endings):
+        raise ValueError(f"path: expected a name that ends in {' or '.join(endings)}, got {str(path)!r}; {hint}")
+
+
 @contextmanager
 def replacing(path: str | os.PathLike) -> Iterator[Path]:
     """Context with a temporary path beside `path`. At the end of the block the temporary file is renamed to `path`.
@@ -46,7 +61,7 @@ def _beside(path: str | os.PathLike) -> Iterator[tuple[Path, Path]]:
 
     No other process uses the temporary path. Its file is removed at the end.
     """
-    target = Path(os.path.realpath(path))
+    target = Path(os.path.realpath(path_of(path)))
     if target.exists():
         refuse_special(target, OSError)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -56,7 +71,8 @@ def _beside(path: str | os.PathLike) -> Iterator[tuple[Path, Path]]:
     except OSError as error:
         is_nameless = error.filename is None and error.errno is not None  # the error names no file, as on a full disk
         if is_nameless or error.filename == str(temporary):
-            error.filename, error.filename2 = str(path), None
+            error.filename = str(path)
+            del error.filename2  # with None, the text of the error would end in "-> None"
         raise
     finally:
         temporary.unlink(missing_ok=True)
@@ -103,7 +119,7 @@ def read_bytes(path: str | os.PathLike, most: int, error: type[ValueError] = Val
     most: largest number of bytes, both before and after decompression. Raises `error`, which names the file, if the
     file is larger, or if its gzip data are damaged or incomplete. Raises OSError if the file cannot be opened.
     """
-    path = Path(path)
+    path = path_of(path)
     refuse_special(path, error)
     if (size := path.stat().st_size) > most:
         raise error(f"{path}, line 1: expected at most {most} bytes, got {size}")

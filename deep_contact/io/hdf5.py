@@ -21,7 +21,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from deep_contact.io.files import refuse_special
+from deep_contact.io.files import path_of, refuse_special
 from deep_contact.state.validation import expect
 
 MOST_PACKED = 1032
@@ -41,7 +41,7 @@ def opened(path, error: type[ValueError] = ValueError) -> Iterator[h5py.File]:
 
     The message of `error` names the file. Raises OSError if the file cannot be opened.
     """
-    path = Path(path)
+    path = path_of(path)
     refuse_special(path, error)
     if damage := endless_heap(path):
         raise error(f"{path}: expected an HDF5 file, whole and undamaged, got {damage}")

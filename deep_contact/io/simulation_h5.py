@@ -203,7 +203,7 @@ def pack_simulation(
     return StoredSimulation(header=header, arrays=arrays)
 
 
-def write_simulation(path, states: Iterable[State], *, compression="gzip", **recorded) -> str:
+def write_simulation(path, states: Iterable[State], *, compression: str | None = "gzip", **recorded) -> str:
     """Write states of one simulation to an HDF5 file in one move. Returns the digest of its contents.
 
     compression: "gzip" (lossless, known to every HDF5 reader), "lzf" or None. recorded: other arguments of

@@ -11,12 +11,11 @@ import dataclasses
 import gzip
 import itertools
 import math
-from pathlib import Path
 
 import numpy as np
 
 from deep_contact.io import xml_tree
-from deep_contact.io.files import read_bytes, write_bytes
+from deep_contact.io.files import path_of, read_bytes, write_bytes
 from deep_contact.io.old_dialects import BODY, CONTACT, modernise
 from deep_contact.io.xml_tree import StateFileError, XmlRows, expect, fault, read_integer, read_number, read_text
 from deep_contact.solvers import METHODS, solver_from
@@ -63,7 +62,7 @@ def write_state(path, state: State) -> None:
     The folder is made if it is missing. The file is written in one move. Raises StateFileError if the name has another
     ending, or if the state is not valid or cannot be stored. Raises OSError if the file cannot be written.
     """
-    path = Path(path)
+    path = path_of(path)
     if not path.name.endswith((".xml", ".xml.gz")):
         raise StateFileError(f"{path}: not written: expected a name that ends in .xml or .xml.gz, got {path.name!r}")
     try:

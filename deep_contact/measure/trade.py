@@ -17,7 +17,7 @@ from deep_contact.accuracy import presets
 from deep_contact.accuracy.presets import PRESETS, Decision
 from deep_contact.accuracy.stiffness import stiffness
 from deep_contact.io import json_data
-from deep_contact.io.files import read_bytes, write_json
+from deep_contact.io.files import check_ending, path_of, read_bytes, write_json
 from deep_contact.measure import peers
 from deep_contact.measure.errors import ERRORS, REST, observation, with_reach
 from deep_contact.measure.settings import name_of, solver_of
@@ -78,19 +78,23 @@ class Trade:
     def choose(self, accuracy: str | None = None, **tolerances: float):
         """Return the solver of the cheapest setting whose errors are within the tolerances.
 
-        accuracy: the preset that has the tolerances, by default "fast". tolerances: tolerance of each error by name, in
-        place of a preset.
+        accuracy: the preset that has the tolerances, by default "fast". tolerances: name of an error = its tolerance,
+        in place of a preset. Tolerances of quantities are relative: discharge=0.02 means 2 %.
 
-        Tolerances of quantities are relative: discharge=0.02 means 2 %. The first choice is a setting whose errors are
-        within the tolerances even at the upper ends of their intervals. The second choice is a setting whose errors are
-        within 85 % of the tolerances, the third a setting whose errors are just within them. If there is none, the
-        nearest setting is returned, with a warning. Another warning says if more seeds are needed. Raises ValueError on
-        a name that is no error of this scene, on a preset together with tolerances, and if no setting was measured.
+        The cheapest setting is taken from the first of these groups that is not empty:
+
+        1. settings with the upper end of every error's interval within its tolerance;
+        2. settings with every error within 85 % of its tolerance;
+        3. settings with every error within its tolerance.
+
+        If all groups are empty, the setting with the smallest ratio of an error to its tolerance is returned, with a
+        warning. Another warning is given if more seeds are needed for a tolerance. Raises ValueError on a name that is
+        no error of this scene, on a preset together with tolerances, and if no setting was measured.
         """
         return solver_of(self.chosen(accuracy, **tolerances)["setting"])
 
     def chosen(self, accuracy: str | None = None, **tolerances: float) -> dict:
-        """Return the row of the setting that `choose` takes."""
+        """Return the row of the setting whose solver `choose` returns."""
         mine = [row for row in self.rows if row["us"] and row["group"] not in peers.ENGINES]
         expect(mine, "trade: expected a setting that was measured, got none; see its notes")
         expect(not (accuracy and tolerances), "choose: expected a preset or tolerances, got both")
@@ -202,7 +206,11 @@ class Trade:
         return figure
 
     def save(self, path) -> Path:
-        """Write the trade with its observations to a JSON file. Returns the path of the file."""
+        """Write the trade with its observations to a JSON file. Returns the path of the file.
+
+        Raises ValueError unless the path ends in .json, and OSError if the file cannot be written.
+        """
+        check_ending(path, (".json",), "trade.plot() makes a figure")
         stored = {f.name: getattr(self, f.name) for f in fields(self)}
         runs = [[*of, seconds, seen._asdict()] for of, (seconds, seen) in self.observed.items()]
         return write_json(path, json_data.plain(stored | {"observed": runs}))
@@ -210,6 +218,7 @@ class Trade:
 
 def load_trade(path) -> Trade:
     """Return the `Trade` in a file of `Trade.save`. Raises ValueError if it is another kind of file."""
+    path = path_of(path)
     try:
         stored = json.loads(read_bytes(path, LARGEST_FILE), parse_constant=_refused, parse_float=_finite)
         runs = stored["observed"]
@@ -222,7 +231,7 @@ def load_trade(path) -> Trade:
         str(trade)  # raises an error if a row is wrong
         return trade
     except (LookupError, TypeError, AttributeError, ValueError, RecursionError) as error:
-        raise ValueError(f"{Path(path).name}: expected a file of Trade.save, got {brief(error)}") from None
+        raise ValueError(f"{path.name}: expected a file of Trade.save, got {brief(error)}") from None
 
 
 def _refused(text: str) -> float:
@@ -282,5 +291,5 @@ def _percent(name: str) -> float:
 
 
 def _text(name: str, error: float) -> str:
-    """Return an error as text, such as "1.2 %". The error "contacts" is in contacts per circle, and has no %."""
+    """Return an error as text, such as "1.2 %". The text of the error "contacts" is a number of contacts per circle."""
     return f"{error * _percent(name):.2g}{'' if name == 'contacts' else ' %'}"

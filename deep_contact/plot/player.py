@@ -142,8 +142,9 @@ def _checked_colours(colour, states: Sequence) -> list[np.ndarray]:
 
 
 def _grid(states: Sequence) -> tuple[np.ndarray, float, list[np.ndarray]]:
-    """Return the origin of a page's coordinates, (2,), m; their step, m; and the ends of each state's segments, (2 S,
-    2), m.
+    """Return (origin, step, ends): the origin of a page's coordinates, (2,), m, and their step, m.
+
+    ends: ends of the segments of each state, (2 S, 2), m.
     """
     ends = [np.reshape(state.world.segments, (-1, 2)) for state in states]
     x_min, y_min, x_max, y_max = states[0].world.box

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.io.files import replacing
+from deep_contact.io.files import path_of, replacing
 from deep_contact.state.arrays import Bodies, Contacts, no_contacts
 from deep_contact.state.state import State, contact_lines
 from deep_contact.state.validation import expect, one_of
@@ -95,8 +95,9 @@ _STYLE = {
 
 
 def shades(count: int) -> list[str]:
-    """Return `count` colours for an ordered series (sizes, steps, presets), from light to dark. No start has such a
-    colour.
+    """Return `count` colours for an ordered series (sizes, steps, presets), from light to dark.
+
+    No start has one of these colours.
     """
     from matplotlib import colormaps, colors
 
@@ -298,8 +299,9 @@ def state_data(state) -> dict:
 
 
 def state_of(data: Mapping):
-    """Return the state that `state_data` stored. It cannot be simulated, because it lacks gravity and settings of the
-    solver.
+    """Return the state that `state_data` stored. data: result of `state_data`.
+
+    It cannot be simulated, because it has neither gravity nor settings of the solver.
     """
     bodies, contacts = ({name: np.array(of) for name, of in data[part].items()} for part in ("bodies", "contacts"))
     contacts = Contacts(**contacts) if contacts["body_a"].size else no_contacts()
@@ -463,7 +465,7 @@ def impulse_key(figure, largest: float) -> None:
 
 
 def readable_on(colours: np.ndarray) -> np.ndarray:
-    """Return black or white for each colour, RGBA (…, 4), whichever stands out from it."""
+    """Return black or white for each colour, RGBA (…, 4): the one that stands out from the colour."""
     return np.where(colours[..., :3] @ np.array([0.299, 0.587, 0.114]) > 0.5, "#222222", "white")
 
 
@@ -542,7 +544,7 @@ def draw_network(
 
 def save(figure, path: str | os.PathLike) -> Path:
     """Write a figure as PNG to a path that ends in .png. Returns the path. Equal figures give equal bytes."""
-    path = Path(path)
+    path = path_of(path)
     hint = "figure.savefig writes other formats"
     expect(path.suffix.lower() == ".png", f"path: expected a name that ends in .png, got {str(path)!r}; {hint}")
     with style(), replacing(path) as temporary:

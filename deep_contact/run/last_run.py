@@ -36,7 +36,7 @@ class _LastRun(threading.local):
         plain = isinstance(run._start, Builtin) and run._options.push is None and isinstance(how[1], (str, type(None)))
         if not plain or run._scene.bodies.count > KEPT:
             return run._state(np.asarray)
-        state = run.state
+        state = run._state(np.ndarray.copy)
         self.kept = weakref.ref(state, self._drop), how, run
         return state
 

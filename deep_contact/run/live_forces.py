@@ -54,8 +54,8 @@ class LiveForces:
     def of_scene(self, circles: int, segments: int, stays: np.ndarray | None = None) -> LiveForces:
         """Return the sums for a changed scene. A new circle or segment begins with a sum of 0.
 
-        circles, segments: their numbers in the changed scene. stays: old indices of the circles that are left, which
-        become the first circles; None if all are. Segments stay with their indices.
+        circles, segments: numbers of circles and of segments in the changed scene. stays: old indices of the circles
+        that are left, which become the first circles; None if all are left. The sum of a segment stays at its index.
         """
         new, walls = LiveForces(circles, segments), np.arange(min(len(self.loads), 4 + segments))
         stays = np.arange(len(self.on_circles)) if stays is None else stays

@@ -71,10 +71,10 @@ def method_of(state: State, solver=None, start="builtin", accuracy=None, *, slee
 
 
 def _keeps_solver(state: State, accuracy) -> bool:
-    """Return whether the state comes from a run under this preset, with nearly the same load. It keeps its solver then.
+    """Return whether the state comes from a run under this preset, with nearly the same load.
 
-    Without this rule the preset could choose another solver later in the run, when the fastest circle is slower, or
-    when a dam has broken.
+    The solver of such a state stays. Without this rule the preset could choose another solver later in the run, when
+    the fastest circle is slower, or when a dam has broken.
     """
     came = state.step > 0 and state.solver is not None and isinstance(accuracy, str) and accuracy == state.preset
     return came and (state.load is None or is_near(state))

@@ -11,14 +11,14 @@ from deep_contact.accuracy.presets import Accuracy, MeasuredAccuracy
 from deep_contact.run.last_run import _last_run
 from deep_contact.run.method import RunOptions, checked_solver
 from deep_contact.run.result import Simulation
-from deep_contact.run.simulator import Simulator
+from deep_contact.run.simulator import begun
 from deep_contact.run.trajectory import Trajectory
 from deep_contact.starts.changed_load import with_time_step
 from deep_contact.starts.classical import starting_impulses
 from deep_contact.starts.names import Start
 from deep_contact.state.materials import largest
 from deep_contact.state.state import State, StateWithContacts, read_only
-from deep_contact.state.validation import flag, integer, suggesting
+from deep_contact.state.validation import flag, function, integer, suggesting
 from deep_contact.stepping.convergence import ConvergenceRecord
 from deep_contact.stepping.log import make_log
 from deep_contact.stepping.prepare import ready
@@ -118,16 +118,18 @@ def _simulate(state: State, options: RunOptions, stopped: threading.Event | None
         integer("record", record, least=1)
     if flag("forces", forces) and record is None:
         raise ValueError("forces: expected False without record=…, got True")
+    for name, value in (("until", until), ("on_step", on_step)):
+        if value is not None:
+            function(name, value)
     if options.dt is not None:
         state = with_time_step(state, options.dt)
     how = options.how
     run = _last_run.take(state, how) if options.push is None else None
     if run is None:
-        solver, accuracy, warm_start, sleep = how
-        run = Simulator(state, solver=solver, accuracy=accuracy, warm_start=warm_start, sleep=sleep, push=options.push)
+        run = begun(state, options)
     is_driven, every, done = record is not None and run._inputs.actuation is not None, record or steps + 1, 0
-    n, is_shifted = state.bodies.count, record is not None and not is_driven and largest(state.world.restitution) > 0.0
-    loads_of = 4 + len(state.world.segments) if forces else 0
+    is_shifted = record is not None and not is_driven and largest(state.world.restitution) > 0.0
+    loads_of, n = 4 + len(state.world.segments) if forces else 0, state.bodies.count if record is not None else 0
     log = make_log(steps, loads_of, n if is_driven else 0, n if is_shifted else 0)
     frames, loads = [] if record is None else [run.state], [log.loads.copy()]
     on_circles, shifts, work = [log.on_circles.copy()], [log.shifts.copy()], [0.0]

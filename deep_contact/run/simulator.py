@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -13,7 +14,7 @@ from deep_contact.accuracy.presets import Accuracy, MeasuredAccuracy, PresetWarn
 from deep_contact.plot import notebook
 from deep_contact.run.live_forces import LiveForces
 from deep_contact.run.method import RunOptions, method_of
-from deep_contact.run.solved_memory import SolvedMemory
+from deep_contact.run.solved_memory import SolvedMemory, moving_arrays
 from deep_contact.starts.changed_load import (
     fitted,
     scaled_impulses,
@@ -35,7 +36,7 @@ from deep_contact.state.fields import (
 )
 from deep_contact.state.materials import largest
 from deep_contact.state.state import State, StateWithContacts, changed, frozen, read_only
-from deep_contact.state.validation import brief, expect, flag, integer, suggesting, warn
+from deep_contact.state.validation import brief, expect, flag, function, integer, suggesting, warn
 from deep_contact.state.world import World
 from deep_contact.stepping.convergence import ConvergenceRecord, convergence_record
 from deep_contact.stepping.inputs import scales_of, step_input
@@ -85,8 +86,8 @@ class Simulator:
 
     The other arguments are those of `simulate`. forces: whether the contact impulses are summed, for `force_on`, and
     the last step of each call of `step` is stored, as `solved`. on_step: function that is called after each step, with
-    the arguments that `simulate` describes. It may change the scene, as its caller may between two steps. Each step
-    sets `solved` then. Without both options a step costs nothing for them.
+    the arguments that `simulate` describes. It may change the scene. With `on_step`, every step sets `solved`. Without
+    these two options they take no time in a step.
     Raises ValueError on arguments that do not fit each other.
     """
 
@@ -109,7 +110,8 @@ class Simulator:
         how = {"solver": solver, "accuracy": accuracy, "warm_start": warm_start, "sleep": sleep, "push": push}
         is_anew = solver is None and getattr(state, "solver", None) is None
         watch = {"forces": flag("forces", forces), "on_step": on_step}
-        expect(on_step is None or callable(on_step), f"on_step: expected a function, or None, got {brief(on_step)}")
+        if on_step is not None:
+            function("on_step", on_step)
         self._options, self._steps = RunOptions(**how, **watch, is_anew=is_anew), None
         prepared = _prepared(state, self._options)
         if forces:
@@ -137,13 +139,13 @@ class Simulator:
             is_watched = on_step is not None or left == 1
             count = 1 if is_watched else min(left - 1, self._affordable())
             log = self._one_step() if count == 1 else self._rows(self._new_log(count), 0, count)
-            log.progress[WATCHED] = is_watched and not self._is_one_solve
+            log.progress[WATCHED] = is_watched and not self._watching().is_one_solve
             done += self._advance(log, is_watched)
             if on_step is not None:
                 on_step(*self._now.seen)
 
     def force_on(self, part: str, index: int | Sequence[int] | np.ndarray | None = None) -> np.ndarray:
-        """Return the mean contact force on a part of the scene since it was last asked for, (2,), N.
+        """Return the mean contact force on a part of the scene since this force was last read, (2,), N.
 
         It is the mean over all steps and substeps since then, rebounds included: the sum of the contact impulses over
         the time. Each body has an interval of its own, which begins with the simulator, or when the body is added.
@@ -259,8 +261,8 @@ class Simulator:
         """Set gravity, friction, restitution and the push in place, if possible. This is faster than `_change`.
 
         It is possible if the change is so small that the carried impulses stay (`load.kept_anchor`), and if the step
-        needs no other code. A preset then keeps its solver. changes: the new fields of the world. push: array of
-        forces, or a tuple with torques; None leaves the push as it is. Returns whether all was set.
+        needs no other code. The solver of a preset then stays. changes: the new fields of the world. push: array of
+        forces, or a tuple with torques; None leaves the push as it is. Returns whether the changes were made.
         """
         if not changes and push is None:
             return True
@@ -383,8 +385,10 @@ class Simulator:
         seen: `_Now.seen` of the last step.
         """
         solver, n, sleep = state.solver, state.bodies.count, self._options.sleep
-        block, moved = in_one_block(state.bodies[:4])
-        bodies = Bodies(*moved, *map(np.copy, state.bodies[4:]))
+        block = np.empty(6 * n)
+        bodies = Bodies(*moving_arrays(block), *map(np.copy, state.bodies[4:]))
+        for array, values in zip(bodies[:4], state.bodies):
+            array[...] = values
         contacts = Contacts(*map(np.copy, state.contacts))
         if isinstance(start, NoStart):
             contacts.normal_start[:] = contacts.tangent_start[:] = 0.0
@@ -396,25 +400,25 @@ class Simulator:
             self._steps = Steps(solver, n, sleep=sleep, carry=not isinstance(start, NoStart))
             # The memory is allocated before the arrays of results, which then lie above it on the heap. Its release
             # thus leaves no free space at the top of the heap, which Linux would take back.
-            self._steps.memory(inputs, contacts.count)
-        self._steps.wake()
+            self._steps.memories(inputs, contacts)
+        else:
+            self._steps.wake()
         self._kind, self._start, self._scene, self._scales, self._inputs = kind, start, scene, scales, inputs
         self._anchor = anchor
         # Without friction, tangent rows are left out once no contact starts from a tangent impulse.
-        self._may_lose_tangents = largest(scene.world.friction) == 0.0 and entry_of(solver).advance is None
-        self._may_lose_tangents &= not is_rough(inputs.friction)
-        self._is_one_solve = changed(scene, solved=True).holds_solution
+        is_smooth = largest(scene.world.friction) == 0.0 and not is_rough(inputs.friction)
+        self._may_lose_tangents = is_smooth and entry_of(solver).advance is None
         self._asks_between = callable(self._options.push) or not isinstance(start, (Builtin, NoStart))
         self._origin = self._now = _Now(contacts, state.step, state.time, state.solved, seen)
         if callable(self._options.push):
             self._scene = scene = changed(scene, push=(np.zeros((n, 2)), np.zeros(n)))
             self._inputs = step_input(scene, solver, scales)
         self._push = scene.push
-        actuation = self._inputs.actuation
-        self._fastest_wall = 0.0 if actuation is None else np.abs(actuation.wall).max(initial=0.0)
-        self._fastest_fixed = _fastest(bodies.velocity[bodies.is_fixed])
+        actuation, self._fastest_wall, self._fastest_fixed = self._inputs.actuation, 0.0, 0.0
+        if actuation is not None:
+            self._fastest_wall = np.abs(actuation.wall).max(initial=0.0)
+            self._fastest_fixed = _fastest(bodies.velocity[bodies.is_fixed])
         self._moved = tuple(bodies[:4])  # arrays that a step changes
-        self._never_change, self._solved_memory = tuple(map(frozen, bodies[4:])), SolvedMemory()
         if scene.world.segment_velocities:
             self._moved += (self._inputs.segments.line,)
         if self._steps.sleep is not None:
@@ -422,10 +426,10 @@ class Simulator:
         self._is_watched, self._counted = self._forces is not None or self._options.on_step is not None, state.step
         if self._forces is not None:
             self._moved += (self._forces.block,)
-        self._kept, self._log, self._work = tuple(map(np.copy, self._moved)), self._new_log(1), MOST_WORK // 8
-        kept_block, kept = in_one_block(self._kept[:4])
-        self._kept = kept + self._kept[4:]
+        kept_block = block.copy()
+        self._kept = *moving_arrays(kept_block), *map(np.copy, self._moved[4:])
         self._saved = (kept_block, block), *zip(self._kept[4:], self._moved[4:])
+        self._work, self._log, self._watched = MOST_WORK // 8, None, None  # both are made when they are needed
         # Steps start the next step from the impulses of the last one. So the impulses before a step need no copy,
         # unless they come from elsewhere (`_origin`) or belong to circles that sleep.
         self._starts_are_impulses = not isinstance(start, NoStart) and self._steps.sleep is None
@@ -447,7 +451,7 @@ class Simulator:
 
         is_watched: whether the call is a single step whose impulses are logged.
         """
-        return some_steps(log, first, count, self._work, is_watched and not self._is_one_solve)
+        return some_steps(log, first, count, self._work, is_watched and not self._watching().is_one_solve)
 
     def _new_log(self, steps: int) -> StepLog:
         """Return a log for `steps` steps, which adds impulses to the sums of forces, if there are any."""
@@ -456,27 +460,39 @@ class Simulator:
 
     def _one_step(self) -> StepLog:
         """Return a log for one step. The next call of this function returns the same arrays."""
+        if self._log is None:
+            self._log = self._new_log(1)
         log = self._log
         log.sweeps[0] = log.relaxations[0] = log.substeps[0] = log.progress[DONE] = 0
         log.progress[WORK] = self._work
         return log
 
+    def _watching(self) -> _Watched:
+        """Return the memory and the values that only watched steps need.
+
+        They are made in the first watched step, and serve until the scene changes.
+        """
+        if self._watched is None:
+            is_one_solve = changed(self._scene, solved=True).holds_solution
+            self._watched = _Watched(is_one_solve, tuple(map(frozen, self._scene.bodies[4:])), SolvedMemory())
+        return self._watched
+
     def _state(self, taken) -> StateWithContacts:
         """Return the present state. taken: function that copies or views each array of the bodies for the caller."""
         contacts, step, time, solved, _ = self._now
         bodies, contacts = Bodies(*map(taken, self._scene.bodies)), Contacts(*map(np.ndarray.copy, contacts))
-        push = None if callable(self._options.push) else self._scene.push
-        fields = {"world": self._world(), "bodies": bodies, "contacts": contacts, "push": push, "solved": solved}
+        push, world = None if callable(self._options.push) else self._scene.push, self._scene.world
+        world = self._moved_world() if world.segment_velocities else world
+        fields = {"world": world, "bodies": bodies, "contacts": contacts, "push": push, "solved": solved}
         state = changed(self._scene, **fields, step=step, time=time)
         return changed(state, load=load_of(state, self._anchor))
 
-    def _world(self) -> World:
-        """Return the world with its segments at their present positions."""
-        world = self._scene.world
-        return replace(world, segments=self._inputs.segments.line[:, :4]) if world.segment_velocities else world
+    def _moved_world(self) -> World:
+        """Return the world with its moving segments at their present positions."""
+        return replace(self._scene.world, segments=self._inputs.segments.line[:, :4])
 
     def _world_in_step(self) -> World:
-        """Return `_world` without validation, which would take longer than a step of a hundred circles.
+        """Return the present world without validation, which would take longer than a step of a hundred circles.
 
         Segments that no world may have, of length 0, are left to the validation.
         """
@@ -485,9 +501,9 @@ class Simulator:
             return world
         segments = tuple(map(tuple, self._inputs.segments.line[:, :4].tolist()))
         if any((x_1 - x_0) ** 2 + (y_1 - y_0) ** 2 == 0.0 for x_0, y_0, x_1, y_1 in segments):
-            return self._world()
+            return self._moved_world()
         moved = changed(world, segments=segments)
-        for name in ("_digest", "is_within_limits"):  # what a world remembers of its segments
+        for name in ("_digest", "is_within_limits"):  # values that the world has computed from its segments
             vars(moved).pop(name, None)
         return moved
 
@@ -524,9 +540,9 @@ class Simulator:
             inputs = inputs if friction == inputs.friction else inputs._replace(friction=friction)
         shifts, shown = log.shifts, ()
         if is_watched:
-            world, push = self._world_in_step(), self._push
-            if not self._is_one_solve:
-                log = log._replace(pair_impulses=self._solved_memory.rows(contacts))
+            world, push, watched = self._world_in_step(), self._push, self._watching()
+            if not watched.is_one_solve:
+                log = log._replace(pair_impulses=watched.memory.rows(contacts))
             if largest(scene.world.restitution) > 0.0:
                 log = log._replace(shifts=np.zeros((scene.bodies.count, 2)))
         begun = time.perf_counter()
@@ -552,8 +568,8 @@ class Simulator:
             theta = self._steps.memory(inputs).theta[: log.progress[LAST_SWEEPS]]
             is_one_solve = log.substeps[0] == 1 and largest(scene.world.restitution) == 0.0
             rows = pair_impulses[:0] if is_one_solve else pair_impulses
-            moved, solved = self._solved_memory.copy(self._kept[:4], contacts, rows)
-            bodies = Bodies(*moved, *self._never_change)
+            moved, solved = watched.memory.copy(self._kept[:4], contacts, rows)
+            bodies = Bodies(*moved, *watched.never_change)
             fields = {"world": world, "bodies": bodies, "contacts": solved, "push": push, "solved": True}
             seen = changed(scene, **fields, step=before.step, time=before.time)
             of_step = frozen(log.shifts) if len(log.shifts) else None
@@ -582,18 +598,43 @@ class Simulator:
         return contacts, problem
 
 
-def in_one_block(arrays: Sequence[np.ndarray]) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-    """Return (block, copies): copies of arrays of float64, which lie one after the other in a flat array, the block.
+class _NotAssigned:
+    """A name that users take for an attribute of a `Simulator`. Access and assignment raise AttributeError.
 
-    To copy the block takes a fraction of the time of copying each small array.
+    Without it, an assignment such as `live.gravity = (0, 0)` would be silent and change nothing. hint: what to write
+    instead.
     """
-    block = np.concatenate([array.ravel() for array in arrays])
-    ends = np.cumsum([array.size for array in arrays])
-    return block, tuple([block[end - array.size : end].reshape(array.shape) for end, array in zip(ends, arrays)])
+
+    def __init__(self, name: str, hint: str):
+        self._message = f"{name}: {hint}"
+
+    def __get__(self, live, kind=None):
+        if live is None:
+            return self
+        raise AttributeError(self._message)
+
+    def __set__(self, live, value):
+        raise AttributeError(f"{self._message}, got an assignment of {brief(value)}")
+
+
+for _name in inspect.signature(Simulator.set).parameters.keys() - {"self"}:
+    setattr(Simulator, _name, _NotAssigned(_name, f"expected live.set({_name}=…) to change it, live.state to read it"))
+for _name in ("world", "bodies", "contacts"):
+    setattr(Simulator, _name, _NotAssigned(_name, f"expected live.state.{_name}; set, add and remove change the scene"))
+for _name in inspect.signature(Simulator).parameters.keys() - {"state", "push"}:
+    setattr(Simulator, _name, _NotAssigned(_name, f"expected dc.Simulator(live.state, {_name}=…), a new simulator"))
+
+
+class _Watched(NamedTuple):
+    """Memory of watched steps, and values that are the same in all of them."""
+
+    is_one_solve: bool  # whether the impulses of a step solve one contact problem, without substeps and restitution
+    never_change: tuple[np.ndarray, ...]  # read-only masses, radii and materials
+    memory: SolvedMemory
 
 
 class _Now(NamedTuple):
-    """Contacts, number of steps, time (s) and `State.solved` of a `Simulator` at one time, and what its last step was.
+    """Contacts, number of steps, time (s) and `State.solved` of a `Simulator`, and the solved state of its last step.
 
     A step replaces all fields in one assignment. An interrupt therefore finds all from before the step or all from
     after.
@@ -604,6 +645,17 @@ class _Now(NamedTuple):
     time: float
     solved: bool
     seen: tuple = ()  # arguments of `on_step` for the last step; empty if it was not watched
+
+
+def begun(state: State, options: RunOptions) -> Simulator:
+    """Return the `Simulator` of a run of `simulate` with these options, before its first step.
+
+    Unlike the class, it takes options that are collected already. Its steps are watched only if a call says so.
+    """
+    simulator = Simulator.__new__(Simulator)
+    simulator._options, simulator._steps = options._replace(forces=False, on_step=None), None
+    simulator._go_on(*_prepared(state, simulator._options))
+    return simulator
 
 
 def _restored(state, start: WarmStart, options: RunOptions, forces: LiveForces | None, seen: tuple) -> Simulator:
@@ -635,7 +687,8 @@ def _prepared(state: State, options: RunOptions) -> tuple[StateWithContacts, War
     first, state = state, ready(state)
     accuracy, push = options.accuracy, options.push
     constant = None if push is None or callable(push) else checked_push(push, state.bodies.count)
-    state = changed(state, push=constant)
+    if constant is not state.push:
+        state = changed(state, push=constant)
     without_past = first.contacts is None or state.step == 0
     chosen_for = changed(state, solver=None) if options.is_anew and accuracy is None else state
     how = options.solver, options.warm_start, accuracy

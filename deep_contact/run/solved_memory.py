@@ -11,7 +11,7 @@ from deep_contact.state.arrays import Contacts
 from deep_contact.stepping.log import write_rows, write_step
 
 MOST_BLOCKS = 3
-"""Largest number of blocks that are kept for later steps: those of the last two steps, and one for the next step."""
+"""Largest number of blocks that stay for later steps: those of the last two steps, and one for the next step."""
 
 
 class SolvedMemory:
@@ -53,10 +53,8 @@ class SolvedMemory:
         numbers, pairs = block[: 6 * n + 9 * k], block[6 * n + 9 * k : 6 * n + 11 * k].view(np.int64)
         self._write(moved, contacts, pair_impulses, pairs, numbers)
         numbers.flags.writeable = pairs.flags.writeable = False
-        position, velocity = numbers[: 4 * n].reshape(2, n, 2)
-        angle, spin = numbers[4 * n : 6 * n].reshape(2, n)
         place, normal = numbers[6 * n : 6 * n + 4 * k].reshape(2, k, 2)
-        return (position, velocity, angle, spin), Contacts(
+        return moving_arrays(numbers[: 6 * n]), Contacts(
             *pairs.reshape(2, k), place, normal, *numbers[6 * n + 4 * k :].reshape(5, k)
         )
 
@@ -69,6 +67,15 @@ class SolvedMemory:
         block = np.empty(size + size // 16)
         self._blocks = [*blocks[1 - MOST_BLOCKS :], block]
         return block
+
+
+def moving_arrays(block: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return positions and velocities, (n, 2) each, angles and spins, (n,) each, as views of one array, (6 n,).
+
+    To copy the one array takes a fraction of the time of copying the four.
+    """
+    n = len(block) // 6
+    return *block[: 4 * n].reshape(2, n, 2), *block[4 * n :].reshape(2, n)
 
 
 def _references(blocks: list[np.ndarray], i: int) -> int:

@@ -25,7 +25,7 @@ about 2 MB."""
 
 
 def _array(*names: str) -> property:
-    """Return a property: the stored array of this name, or, for several names, one array with a column for each."""
+    """Return a property whose value is the stored array of this name, or an array with a column for each name."""
 
     def get(self: Trajectory) -> np.ndarray:
         arrays = [self.stored.arrays[name] for name in names]
@@ -73,11 +73,15 @@ class Trajectory:
     def save(self, path) -> None:
         """Write the run to an HDF5 file. On an error there is no partial file.
 
-        Raises OSError if the file cannot be written.
+        path: path of the file, which ends in .h5 or .hdf5. Raises ValueError for another ending, and OSError if the
+        file cannot be written.
         """
-        from deep_contact.io.files import write_bytes
+        from deep_contact.io.files import check_ending, write_bytes
         from deep_contact.io.simulation_h5 import simulation_file
 
+        check_ending(
+            path, (".h5", ".hdf5"), "pandas.DataFrame(trajectory.table()) writes tables, trajectory.film films"
+        )
         write_bytes(path, simulation_file(self.stored))
 
     def __len__(self) -> int:
@@ -189,9 +193,11 @@ def film(states: Iterable[State], path, *, fps: float | None = None, size: int |
 
     The other arguments, the result and the errors are those of `Trajectory.film`. Raises ValueError without states.
     """
+    from deep_contact.io.files import path_of
+
     states = list_of("states", State, states)
     expect(states, "states: expected at least one state, got none")
-    if Path(path).suffix == ".html":
+    if path_of(path).suffix == ".html":
         from deep_contact.plot.player import write_page
 
         for name, value in (("fps", fps), ("size", size)):

@@ -19,7 +19,7 @@ from deep_contact.solvers import batches
 from deep_contact.solvers.batches import BLOCKS, CONTACTS
 from deep_contact.state.constants import POSITION_TOLERANCE
 from deep_contact.stepping import broad_phase, stay_inside
-from deep_contact.stepping.contacts import carry_impulses, find_pairs, mass_if_fixed, write_geometry
+from deep_contact.stepping.contacts import Exclusions, carry_impulses, find_pairs, mass_if_fixed, write_geometry
 from deep_contact.stepping.context import begin_steps, follow, results_of, set_segments, walls_of
 from deep_contact.stepping.convergence import all_finite, is_over
 from deep_contact.stepping.impacts import logged_rebound
@@ -63,7 +63,7 @@ class BatchedPGS(SolverOptions):
     The options are those of every solver (`SolverOptions`). Position correction uses the same batches.
 
     Weakness: contacts are not swept in the order of the list, so the solver may need more sweeps than PGS. In each step
-    in which the list of contacts has changed, the batches are found anew. A few sweeps do not repay this time.
+    in which the list of contacts has changed, the batches are chosen anew, which takes longer than a few sweeps save.
     """
 
 
@@ -196,10 +196,9 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
 
 @njit(cache=True, error_model="numpy")
 def correct_positions_in_batches(plan, tiles, bodies, scales, sweeps):
-    """Correct positions over the tiles of a plan, as `position_correction.correct_positions` does. Bodies move in
-    place.
+    """Correct positions over the tiles of a plan, as `position_correction.correct_positions` does.
 
-    sweeps: largest number of sweeps.
+    Bodies move in place. sweeps: largest number of sweeps.
     """
     centre = tiles.centre[: bodies.mass.shape[0]]
     fill_centres(bodies, centre)
@@ -229,7 +228,7 @@ define(BatchWorkspace, _BatchWorkspaceType, ("plan", "tiles", "solved"))
 
 @njit(cache=True)
 def make_batch_workspace(context, contacts):
-    """A `BatchWorkspace` for steps that start from these contacts. context: `StepContext`."""
+    """Return a `BatchWorkspace` for steps that start from these contacts. context: `StepContext`."""
     n = context.step.bodies.mass.shape[0]
     friction = context.step.friction
     return BatchWorkspace(batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1, friction), contacts)
@@ -240,8 +239,8 @@ def advance_in_batches(context, contacts, workspace, log, actuation):
     """Do steps as `algorithm.advance` does, with the solver `BatchedPGS`. Bodies move in place.
 
     context: `StepContext`. contacts: `Contacts` at the start. workspace: `BatchWorkspace`, changed in place and passed
-    to the next call. log: `StepLog`, filled in place. actuation: `Actuation` of the steps, or None. Returns
-    `context.results_of` the context.
+    to the next call. log: `StepLog`, filled in place. actuation: `Actuation` of the steps, or None. Returns the result
+    of `context.results_of`.
     """
     step = context.step
     begin_steps(context, contacts, log, actuation)
@@ -290,7 +289,7 @@ def do_substep_in_batches(context, workspace, log, actuation):
         batches.store_block(plan, tiles, solved, block, substep.substeps)
     # Positions: segments and circles move, and position correction follows.
     if actuation is not None:
-        log_work(substep, solved, velocities, log)
+        log_work(substep, solved, velocities, batches.work_of_rolling(substep.friction, plan, tiles, bodies), log)
         batches.move_points(plan, tiles, substep.dt)
         segments = moved_segments(segments, actuation, substep.dt)
     before = positions_before(bodies, segments)
@@ -304,11 +303,11 @@ def do_substep_in_batches(context, workspace, log, actuation):
     context.buffer = 1 - context.buffer
     least = 0 if largest_of(substep.restitution) > 0.0 or is_asked(log) or actuation is not None else n
     position, radius, walls = bodies.position, bodies.radius, walls_of(substep)
-    touches = substep.touches
+    touches, buffer = substep.touches, memory.contacts[context.buffer]
     passed = stay_inside.clamp_inside(bodies, before, walls, segments, solved, touches, actuation, substep.dt)
     broad_phase.refresh_list(position, radius, cells, 0.0)
-    mass, buffer = mass_if_fixed(bodies, actuation), memory.contacts[context.buffer]
-    following = find_pairs(position, radius, mass, walls, segments, touches, cells, buffer)
+    exclusions = Exclusions(mass_if_fixed(bodies, actuation), touches)
+    following = find_pairs(position, radius, walls, segments, exclusions, cells, buffer)
     write_geometry(position, radius, walls, segments, following, least)
     if actuation is not None:
         following = without_passed(following, bodies, segments, actuation, log.progress)
@@ -360,7 +359,7 @@ def start_blocks(step, contacts, plan, tiles, rows, is_built, actuation):
 
 
 class _Run:
-    """A function in place of `algorithm.advance` for one run of `BatchedPGS`. It holds the workspace of the run."""
+    """A function in place of `algorithm.advance` for one run of `BatchedPGS`. It stores the workspace of the run."""
 
     def __init__(self, solver: BatchedPGS):
         self._workspace, self._plain, self._actuated = None, Direct(advance_in_batches), Direct(advance_in_batches)

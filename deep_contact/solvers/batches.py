@@ -130,9 +130,9 @@ def roll_tile(friction, rolling, t, spins, inverse_masses, old_n, theta):
 
 
 def write_tile_friction(friction, tiles, t, j, bodies, radius) -> None:
-    """Write what lane j of tile t needs of a table of μ and of rolling resistance, in place. λ_r becomes 0.
+    """Write the friction of lane j of tile t, in place: μ if it is a table, and the rows of rolling resistance, if any.
 
-    friction: as in `StepInput`. bodies: indices (a, b) as in `Contacts`. radius: (n,), m.
+    λ_r becomes 0. friction: as in `StepInput`. bodies: indices (a, b) as in `Contacts`. radius: (n,), m.
     """
     if is_table(friction):
         tiles.friction[t, j] = value_of(friction, *bodies)
@@ -142,7 +142,7 @@ def write_tile_friction(friction, tiles, t, j, bodies, radius) -> None:
 
 @njit(cache=True, error_model="numpy")
 def write_tile_rolling(rolling, tiles, t, j, bodies, radius):
-    """Write the rows of `Tiles.rolling` of one contact, in place. Arguments as in `write_tile_friction`."""
+    """Write the rows of `Tiles.rolling` of one contact, in place. The arguments are those of `write_tile_friction`."""
     (a, b), n, w_b, turn_b = bodies, radius.shape[0], 0.0, 0.0
     w_a, turn_a = tiles.solver_bodies[a, INVERSE_MASS], 1.0 / radius[a]
     if b < n:
@@ -163,6 +163,25 @@ def roll_lanes(rolling, t, spins, inverse_masses, old_n, theta):
     store(rolling, row + ROLLED, old + p)
     change = most(p, none - p) * most(turn_a, turn_b)
     return (a_s - w_a * turn_a * (p + p), b_s + w_b * turn_b * (p + p)), most(theta, change)
+
+
+def work_of_rolling(friction, plan, tiles, bodies) -> float:
+    """Return the work of fixed circles on free circles by rolling resistance, J, as `rows.work_of_rolling` does."""
+    return work_of_tiles(plan, tiles, bodies.mass, bodies.spin) if is_rough(friction) else 0.0
+
+
+@njit(cache=True)
+def work_of_tiles(plan, tiles, mass, spin):
+    """Do `work_of_rolling` for tiles with rolling resistance. mass, spin: of the circles, (n,), kg and rad/s."""
+    work, n = 0.0, mass.shape[0]
+    for t in range(plan.count[TILES]):
+        for j in range(WIDTH):
+            a, b = tiles.body[t, BODY_A, j], tiles.body[t, BODY_B, j]
+            if a < n and mass[a] == np.inf:
+                work += tiles.rolling[t, ROLLED, j] * spin[a]
+            if b < n and mass[b] == np.inf:
+                work -= tiles.rolling[t, ROLLED, j] * spin[b]
+    return work
 
 
 @overload(tile_friction)
@@ -200,6 +219,13 @@ def _overload_write_tile_friction(friction, tiles, t, j, bodies, radius):
 
     choices = {(False, False): nothing, (True, False): of_table, (False, True): of_rolling, (True, True): of_both}
     return choices[is_table_type(friction), is_rough_type(friction)]
+
+
+@overload(work_of_rolling)
+def _overload_work_of_rolling(friction, plan, tiles, bodies):
+    if is_rough_type(friction):
+        return lambda friction, plan, tiles, bodies: work_of_tiles(plan, tiles, bodies.mass, bodies.spin)
+    return lambda friction, plan, tiles, bodies: 0.0
 
 
 @njit(cache=True)

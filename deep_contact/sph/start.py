@@ -62,7 +62,9 @@ class Sph:
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         return self.round_trip(state, np.column_stack(solved_impulses(state, solver)))
 
-    def round_trip(self, state: State, impulses: np.ndarray, *, method="bilinear") -> tuple[np.ndarray, np.ndarray]:
+    def round_trip(
+        self, state: State, impulses: np.ndarray, *, method: str = "bilinear"
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the impulses (λ_n, λ_t), (m,) each, N·s, after a splat and a gather.
 
         impulses: λ_n and λ_t before the splat, (m, 2), N·s. method: as for `gather`.

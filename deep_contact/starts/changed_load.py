@@ -54,7 +54,7 @@ def fitted(state: StateWithContacts, solver, *, carries: bool = True) -> tuple[S
 
     After a small change of gravity, friction, restitution or the push the carried impulses stay (`load.kept_anchor`),
     times the factor that follows from gravity. After other changes of the load they are tested (`with_new_load`). The
-    state is returned unchanged if its load is that of its impulses, or if it is not known which load they have.
+    state is returned unchanged if its load is that of its impulses, or if the load of its impulses is unknown.
 
     solver: as in `with_new_load`. carries: whether steps start from the carried impulses at all.
     """
@@ -109,10 +109,10 @@ def with_new_load(state: StateWithContacts, solver, *, share: float = 1.0) -> St
 
 
 def _nearest_start(state: StateWithContacts, problem: StepProblem, carried) -> tuple[np.ndarray, np.ndarray]:
-    """Return the start (λ_n, λ_t) of a search for impulses, (m,) each, N·s. Of two starts, it leaves less energy.
+    """Return the better of two starts (λ_n, λ_t) of a search for impulses, (m,) each, N·s: it leaves less energy.
 
-    These are the carried impulses times the factor that leaves the least energy (`best_share`), and impulses that carry
-    loads down (`support.supported`). carried: (λ_n, λ_t). problem: `StepProblem` of the state.
+    One start is the carried impulses times the factor that leaves the least energy (`best_share`). The other start is
+    the impulses that carry loads down (`support.supported`). carried: (λ_n, λ_t). problem: `StepProblem` of the state.
     """
     energies, starts = [], [carried, supported(state, problem)]
     for i, (normal, tangent) in enumerate(starts):
@@ -148,7 +148,10 @@ def _kicks(state: StateWithContacts, velocity: np.ndarray, free: np.ndarray) -> 
 
 
 def _throws(state: StateWithContacts, velocity: np.ndarray) -> bool:
-    """Return whether a circle has become faster than gravity and the push make it. velocity: after a solve, (n, 2)."""
+    """Return whether a solve has made a circle faster than gravity and the push make it.
+
+    velocity: velocities after the solve, (n, 2), m/s.
+    """
     own, kick = _speeds_of_load(state)
     return bool((np.hypot(*velocity.T) - np.hypot(*state.bodies.velocity.T) > own + kick).any())
 
@@ -197,9 +200,10 @@ def _relaxed(
 ) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return (λ_n, λ_t, rests): impulses of the convex relaxation, and whether the circles rest at them.
 
-    If the circles move too fast to rest after the step, the impulses are returned unchanged. is_changed: whether the
-    load has changed. It is then enough that most circles hardly move. If others are fast, the rms speed of all circles
-    does not show whether most rest, and no iteration is saved. Other arguments as of `_good`.
+    There is no relaxation, and the impulses are returned unchanged, if the rms speed of the circles exceeds the speed
+    that gravity adds in a step. After a change of the load (`is_changed`), there is a relaxation also if the median
+    speed is below this limit. If then a few circles are fast, the iterations do not end early, because the rms speed
+    does not show whether most circles rest. The other arguments are those of `_good`.
     """
     velocity, gained, speed = state.bodies.velocity, state.dt * math.hypot(*state.world.gravity), math.inf
     is_slow, rests = np.mean(velocity**2) < gained**2, RESTS * gained
@@ -212,7 +216,7 @@ def _relaxed(
 def _solved(state: State, normal, tangent, problem: StepProblem, tolerance: float | None) -> tuple:
     """Return accurately solved impulses (λ_n, λ_t), (m,) each, N·s.
 
-    tolerance: θ at which the sweeps of NesterovPGS end, N·s, or None. Other arguments as of `_good`.
+    tolerance: θ at which the sweeps of NesterovPGS end, N·s, or None. The other arguments are those of `_good`.
     """
     solver = NesterovPGS(sweeps=int(np.clip(state.bodies.count, *SWEEPS)), tolerance=tolerance)
     solution = solve(state, solver, normal, tangent, problem)
@@ -222,8 +226,8 @@ def _solved(state: State, normal, tangent, problem: StepProblem, tolerance: floa
 def _left(state: State, normal, tangent, solver, problem: StepProblem) -> tuple[float, np.ndarray]:
     """Return (energy norm, √J; velocities, (n, 2), m/s) that a solve leaves.
 
-    normal, tangent: impulses from which it starts, (m,) each, N·s. solver: its options. problem: `StepProblem` of the
-    state.
+    normal, tangent: impulses from which the solve starts, (m,) each, N·s. solver: options of the solver. problem:
+    `StepProblem` of the state.
     """
     solution = solve(state, solver, normal, tangent, problem)
     return energy_norm(state.bodies, solution.velocities, solution.angular_velocities), solution.velocities

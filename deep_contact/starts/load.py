@@ -43,7 +43,7 @@ class Anchor(NamedTuple):
 class Load(NamedTuple):
     """The load for which the impulses of a state were solved."""
 
-    digest: int  # of the world, Δt, the push, and the positions, masses and radii of the circles
+    digest: int  # digest of the world, Δt, the push, and the positions, masses and radii of the circles
     motion: int  # digest of velocities and spins, which are no part of the load
     constant: int  # digest of the load without gravity, friction, restitution and the push
     world: World
@@ -54,7 +54,7 @@ def load_of(state: State, anchor: Anchor | None = None) -> Load:
     """Return the `Load` of a state. anchor: its anchor, by default the state itself."""
     position, velocity, _, spin, mass, radius, material = map(np.ascontiguousarray, state.bodies)
     world, motion = state.world, zlib.crc32(velocity, zlib.crc32(spin))
-    dragging = world.surface_speeds if largest(world.friction) > 0 else ()
+    dragging = world.surface_speeds if world.surface_speeds and largest(world.friction) > 0 else ()
     constant = zlib.crc32(np.array([state.dt, *dragging]), _of_world(world))
     for values in (position, mass, radius) if world.is_uniform else (position, mass, radius, material):
         constant = zlib.crc32(values, constant)

@@ -12,7 +12,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from deep_contact.lazy import imported
-from deep_contact.state.validation import brief, expect, one_of
+from deep_contact.state.validation import brief, one_of
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
 
@@ -59,23 +59,22 @@ RENAMED = {"learned support": "far field, no past"}
 
 
 def is_network(start) -> bool:
-    """Return whether a start is a network or the path of a network file, "….h5"."""
-    return hasattr(start, "predict") or isinstance(start, Path) or (isinstance(start, str) and start.endswith(".h5"))
+    """Return whether a start is a network or the path of a network file.
 
-
-def _by_name(name: str) -> WarmStart:
-    """Return the start of this name.
-
-    Raises ValueError on an unknown name. For a former name the message has the present name.
+    Texts that end in .h5 or .keras are paths. A file of Keras is refused when it is read, with the way to use it.
     """
+    is_file = isinstance(start, str) and start.endswith((".h5", ".keras"))
+    return hasattr(start, "predict") or isinstance(start, Path) or is_file
+
+
+def _refuse_name(name: str) -> None:
+    """Raise ValueError, since no start has this name. For a former name the message has the present name."""
     if name in RENAMED:
         raise ValueError(f"warm_start: {name!r} is called {RENAMED[name]!r} now")
-    if name not in STARTS:
-        networks = _at("cnn.registry:registered")()
+    if name in _at("cnn.registry:registered")():
         hint = f"got {name!r}: a network is passed as dc.load_model({name!r})"
-        expect(name not in networks, f"warm_start: expected one of {', '.join(STARTS)}, {hint}")
-        one_of("warm_start", name, STARTS)
-    return STARTS[name]()
+        raise ValueError(f"warm_start: expected one of {', '.join(STARTS)}, {hint}")
+    one_of("warm_start", name, STARTS)
 
 
 def warm_start_of(start: Start) -> WarmStart:
@@ -83,8 +82,11 @@ def warm_start_of(start: Start) -> WarmStart:
 
     A callable is returned as it is. Raises ValueError on any other value.
     """
-    if start is None or (isinstance(start, str) and not is_network(start)):
-        return _by_name("none" if start is None else start)
+    start = "none" if start is None else start
+    if isinstance(start, str) and start in STARTS:
+        return STARTS[start]()
+    if isinstance(start, str) and not is_network(start):
+        _refuse_name(start)
     if isinstance(start, type):
         raise ValueError(f"warm_start: expected an instance, such as {start.__name__}(), got the class")
     if any(kind.__module__.partition(".")[0] == "keras" for kind in type(start).__mro__):

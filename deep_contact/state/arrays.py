@@ -112,9 +112,7 @@ class Bodies(NamedTuple):
     def table(self) -> dict[str, np.ndarray]:
         """Return the columns x, y, v_x, v_y, angle, spin, mass, radius and material by name, (n,) each.
 
-        Units are those above.
-
-        `pandas.DataFrame` and polars accept the result.
+        The units are those of the fields. `pandas.DataFrame` and polars accept the result.
         """
         (x, y), (v_x, v_y) = self.position.T, self.velocity.T
         return {"x": x, "y": y, "v_x": v_x, "v_y": v_y} | dict(zip(self._fields[2:], self[2:]))
@@ -172,7 +170,7 @@ class Contacts(NamedTuple):
     def table(self) -> dict[str, np.ndarray]:
         """Return the columns body_a, body_b, x, y, n_x, n_y and the other fields by name, (m,) each.
 
-        Units are those above. `dc.contact_table(state)` also names walls and segments, and has forces.
+        The units are those of the fields. `dc.contact_table(state)` also names walls and segments, and has forces.
         """
         (x, y), (n_x, n_y) = self.position.T, self.normal.T
         places = {"x": x, "y": y, "n_x": n_x, "n_y": n_y}

@@ -52,7 +52,7 @@ def check_types(state) -> State:
 def check_solution(state: State) -> None:
     """Raise ValueError if the contacts of a state do not hold the solution of one contact problem.
 
-    `State.holds_solution` has the condition.
+    The condition is that of `State.holds_solution`.
     """
     if state.contacts is None or not state.holds_solution:
         raise ValueError(f"state.solved: expected a state of one solve, without substeps and rebounds, got {state!r}")
@@ -63,7 +63,9 @@ def check_limits(state: State) -> State:
 
     Raises ValueError naming the quantity, its limits and its value.
     """
-    bodies, contacts, world = state.bodies, state.contacts, state.world
-    for message in beyond_limits(bodies=bodies, contacts=contacts, world=world, dt=state.dt, scales=state.scales):
+    world = state.world
+    # Scales that follow the scene are within the limits if its radii are.
+    parts = {"bodies": state.bodies, "contacts": state.contacts, "world": world, "dt": state.dt, "scales": world.scales}
+    for message in beyond_limits(**parts):
         raise ValueError(message)
     return state

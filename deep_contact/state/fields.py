@@ -22,6 +22,7 @@ from deep_contact.state.materials import (
 )
 from deep_contact.state.scales import ContactScales
 from deep_contact.state.validation import (
+    array_of,
     brief,
     expect,
     floats,
@@ -35,6 +36,8 @@ from deep_contact.state.validation import (
 )
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from deep_contact.state.state import State
     from deep_contact.state.world import World
 
@@ -44,7 +47,16 @@ UNIT = 1e-4
 
 @suggesting
 def make_bodies(
-    position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None, fixed=False, material=0
+    position: ArrayLike,
+    *,
+    radius: ArrayLike = 1.0,
+    velocity: ArrayLike = 0.0,
+    angle: ArrayLike = 0.0,
+    spin: ArrayLike = 0.0,
+    density: ArrayLike = 1.0,
+    mass: ArrayLike | None = None,
+    fixed: ArrayLike = False,
+    material: ArrayLike = 0,
 ) -> Bodies:
     """Make circles from their centres. Every other argument is one value for all circles, or one value for each circle.
 
@@ -67,13 +79,14 @@ def make_bodies(
         mass = density * np.pi * radius**2
     velocity = _for_each("velocity", velocity, (n, 2))
     angle, spin, mass = (_for_each(*one, (n,)) for one in (("angle", angle), ("spin", spin), ("mass", mass)))
-    flags = np.asarray(fixed)
-    expect(flags.dtype == bool and flags.shape in ((), (n,)), f"fixed: expected {n} flags, or one, got {brief(fixed)}")
-    mass, material = np.where(flags, np.inf, mass), np.asarray(material)
-    fits = np.issubdtype(material.dtype, np.integer) and material.shape in ((), (n,))
-    if not fits:
-        raise ValueError(f"material: expected {n} integers, or one, got {brief(material)}")
-    return check_bodies(Bodies(position, velocity, angle, spin, mass, radius, np.broadcast_to(material, (n,))))
+    flags, kinds = array_of(fixed), array_of(material)
+    of = f"for all circles, or for each of the {n}"
+    if flags.dtype != bool or flags.shape not in ((), (n,)):  # not by `expect`, as in `_length`
+        raise ValueError(f"fixed: expected True or False {of}, got {brief(fixed)}")
+    if not np.issubdtype(kinds.dtype, np.integer) or kinds.shape not in ((), (n,)):
+        raise ValueError(f"material: expected an integer from 0 on {of}, got {brief(material)}")
+    mass = np.where(flags, np.inf, mass)
+    return check_bodies(Bodies(position, velocity, angle, spin, mass, radius, np.broadcast_to(kinds, (n,))))
 
 
 def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
@@ -104,7 +117,7 @@ def checked_world(world: World) -> dict:
         "touches": checked_touches(world.touches),
     }
     materials = {
-        "wall_materials": checked_materials("wall_materials", world.wall_materials, 4),
+        "wall_materials": checked_materials("wall_materials", world.wall_materials, 4, of=", ".join(SIDES)),
         "segment_materials": _checked_segment_materials(world.segment_materials, len(segments)),
     }
     for name, values in materials.items():
@@ -125,9 +138,9 @@ def check_bodies(bodies: Bodies) -> Bodies:
     """
     if not isinstance(bodies, Bodies):  # not by `expect`: formatting its message would take longer than the checks
         raise ValueError(f"bodies: expected Bodies, as dc.make_bodies makes them, got {brief(bodies)}")
-    n = _length("bodies.mass", bodies.mass)
-    if _are_plain(bodies, n):
+    if _are_plain(bodies):
         return Bodies(*map(np.copy, bodies))
+    n = _length("bodies.mass", bodies.mass)
     # The radius is checked first: if a bad mass was computed from a bad radius, the message names the radius.
     names = sorted(Bodies._fields, key=lambda name: name != "radius")
     if bodies.material is None:
@@ -141,11 +154,12 @@ def check_bodies(bodies: Bodies) -> Bodies:
     return Bodies(**fields)
 
 
-def _are_plain(bodies: Bodies, n: int) -> bool:
+def _are_plain(bodies: Bodies) -> bool:
     """Return whether all arrays are contiguous, and have the right types, the right shapes and valid values.
 
     This one fast test accepts most bodies, which then need no further check.
     """
+    n = getattr(bodies.mass, "size", -1)
     shapes = (n, 2), (n, 2), (n,), (n,), (n,), (n,), (n,)
     for array, shape, kind in zip(bodies, shapes, (*[np.float64] * 6, np.int64)):
         if type(array) is not np.ndarray or array.dtype != kind or array.shape != shape or not array.flags.carray:
@@ -239,7 +253,7 @@ def checked_indices(name: str, which, count: int) -> np.ndarray:
 
     which: one index, several indices, or `count` flags. Raises ValueError if an index occurs twice or is out of range.
     """
-    chosen = np.asarray(which)
+    chosen = array_of(which)
     if chosen.dtype == bool and chosen.shape == (count,):
         chosen = np.flatnonzero(chosen)
     chosen = np.atleast_1d(chosen) if chosen.size else np.zeros(0, np.int64)
@@ -251,7 +265,7 @@ def checked_indices(name: str, which, count: int) -> np.ndarray:
 
 
 def checked_part(part: str, index, circles: int, segments: int) -> tuple[bool, np.ndarray]:
-    """Return (whether the part consists of circles, indices of its bodies) of a part whose force is asked for.
+    """Return (whether a part of the scene consists of circles, indices of the bodies of this part).
 
     Circles have the indices of the circles. The four sides are 0 to 3, in the order of `SIDES`, and segment s is 4 + s,
     as the rows of `StepLog.loads`. part: one of `SIDES`, "wall", "segment" or "circle". index: one index, several
@@ -269,8 +283,8 @@ def checked_part(part: str, index, circles: int, segments: int) -> tuple[bool, n
 def checked_fixed(bodies: Bodies, velocities, spins) -> tuple[np.ndarray, np.ndarray]:
     """Return velocities, (k, 2), m/s, and spins, (k,), rad/s, of the k fixed circles.
 
-    velocities: one pair for all fixed circles, a pair for each, or None for those that they have. spins: one number or
-    k numbers, or None. Raises ValueError naming what was expected and the value.
+    velocities: one pair for all fixed circles, or a pair for each; None takes their present velocities. spins: one
+    number or k numbers; None takes their present spins. Raises ValueError naming what was expected and the value.
     """
     fixed, found = bodies.is_fixed, []
     k = int(fixed.sum())
@@ -281,6 +295,7 @@ def checked_fixed(bodies: Bodies, velocities, spins) -> tuple[np.ndarray, np.nda
         if value is not None:
             what, unit = ("pair", "m/s") if kept.ndim == 2 else ("number", "rad/s")
             expected = f"a finite {what}, {unit}, for all fixed circles, or one for each of the {k}"
+            expected = expected if k else "None, since no circle is fixed"
             numbers = real_numbers(value)
             fits = k > 0 and numbers is not None and numbers.shape in (kept.shape[1:], kept.shape)
             expect(fits and np.isfinite(numbers).all(), f"{name}: expected {expected}, got {brief(value)}")
@@ -338,7 +353,7 @@ def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
 
 def _checked_segment_materials(materials, count: int) -> tuple[int, ...]:
     count = 0 if np.array_equal(materials, []) else count
-    checked = checked_materials("segment_materials", materials, count)
+    checked = checked_materials("segment_materials", materials, count, of="one a segment")
     return checked if any(checked) else ()
 
 
@@ -379,7 +394,7 @@ def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
     """
     shape = (count, 2) if name in ("position", "velocity", "normal") else (count,)
     if name in ("body_a", "body_b", "material"):
-        index = np.asarray(value)
+        index = array_of(value)
         fits = index.shape == shape and (np.issubdtype(index.dtype, np.integer) or index.size == 0)
         expect(fits, f"{owner}.{name}: expected integers of shape {shape}, got {index.dtype}, {index.shape}")
         return index.astype(np.int64)

@@ -9,9 +9,11 @@ Tests: tests/state/test_materials.py
 
 from __future__ import annotations
 
+from numbers import Real
+
 import numpy as np
 
-from deep_contact.state.validation import brief, expect, number, real_numbers
+from deep_contact.state.validation import array_of, brief, expect, number, real_numbers
 
 MOST_MATERIALS = 64
 """Largest number of materials. An attribute of HDF5 has at most 64 KiB, and a table of 64 materials has 32 KiB."""
@@ -25,9 +27,11 @@ def checked_table(name: str, value, *, high: float | None = None) -> float | Tab
 
     high: largest value. Raises ValueError, which names the property, the element and its value.
     """
-    if not isinstance(value, (list, tuple)) and not (isinstance(value, np.ndarray) and value.ndim > 0):
+    if isinstance(value, Real):
         return number(name, value, low=0, high=high)
     table = real_numbers(value)
+    if table is not None and table.shape == ():  # an array of one number
+        return number(name, float(table), low=0, high=high)
     _expect_square(name, table is not None and table.shape, value, "a number, or a symmetric table (k, k) of numbers")
     for p, q in np.ndindex(table.shape):
         number(f"{name}[{p}][{q}]", float(table[p, q]), low=0, high=high)
@@ -39,10 +43,7 @@ def checked_touches(value) -> bool | Table:
     """Return `World.touches` as True, or as a tuple of k rows of k bools. Raises ValueError naming the value."""
     if value is True or (isinstance(value, np.bool_) and bool(value)):
         return True
-    try:
-        table = np.asarray(value)
-    except ValueError:  # rows of unequal length
-        table = np.zeros(0)
+    table = array_of(value)
     shape = table.shape if table.dtype == bool else ()
     _expect_square("touches", shape, value, "True, or a symmetric table (k, k) of True and False")
     _expect_symmetric("touches", table)
@@ -60,16 +61,17 @@ def _expect_symmetric(name: str, table: np.ndarray) -> None:
         raise ValueError(f"{name}[{q}][{p}]: expected {table[p, q]}, as in [{p}][{q}], got {table[q, p]}")
 
 
-def checked_materials(name: str, values, count: int) -> tuple[int, ...]:
-    """Return the materials of `count` bodies as a tuple of integers. Raises ValueError naming the value."""
-    try:
-        array = np.asarray(values) if isinstance(values, (list, tuple, np.ndarray)) else np.zeros(0, object)
-    except ValueError:  # rows of unequal length
-        array = np.zeros(0, object)
+def checked_materials(name: str, values, count: int, *, of: str) -> tuple[int, ...]:
+    """Return the materials of `count` bodies as a tuple of integers. Raises ValueError naming the value.
+
+    of: description of the bodies for the message.
+    """
+    array = array_of(values) if isinstance(values, (list, tuple, np.ndarray)) else np.zeros(0, object)
     fits = array.shape == (count,) and (np.issubdtype(array.dtype, np.integer) or count == 0)
     fits = fits and (count == 0 or (0 <= array.min() and array.max() < MOST_MATERIALS))
     if not fits:
-        raise ValueError(f"{name}: expected {count} integers from 0 to {MOST_MATERIALS - 1}, got {brief(values)}")
+        expected = f"{count} integers from 0 to {MOST_MATERIALS - 1}, {of}"
+        raise ValueError(f"{name}: expected {expected}, got {brief(values)}")
     return tuple(int(value) for value in array)
 
 

@@ -35,8 +35,8 @@ class State:
     to a file and read back continues bit for bit.
 
     `load` is the load for which the impulses were solved (`starts.load.Load`), or None if the load is unknown, as in a
-    state from a file. `preset` is the name of the preset that chose the solver
-    (`simulate(accuracy=…)`). A run that continues under the same preset has the same solver.
+    state from a file. `preset` is the name of the preset that chose the solver (`simulate(accuracy=…)`). A run that
+    continues under the same preset has the same solver.
 
     `push` is the external load on the circles besides gravity in the step that begins with this state: forces (n, 2),
     N, and torques (n,), N·m; or None. A run replaces it by its own push, or by None (`simulate(push=…)`).
@@ -81,7 +81,7 @@ class State:
     def replace(self: S, **changes) -> S:
         """Return a copy with some fields changed. A change of bodies, dt or solver sets `preset` to None.
 
-        So does a change of the world if `load` is None. Otherwise the load shows how far the world has changed.
+        If `load` is None, a change of the world does so, too. Otherwise the load shows how far the world has changed.
 
         Raises ValueError if the contacts stay, but would refer to other bodies: if the number of circles changes, or if
         the number of segments changes and a segment with contacts is no longer the same. Warns if a segment without

@@ -126,6 +126,18 @@ def real_numbers(value) -> np.ndarray | None:
         return None
 
 
+def array_of(value) -> np.ndarray:
+    """Return `value` as an array, without a copy if possible.
+
+    Rows of unequal length, of which NumPy makes no array, give an array of one object and of shape (), which fits
+    nothing that expects several numbers.
+    """
+    try:
+        return np.asarray(value)
+    except ValueError:
+        return np.array(None)
+
+
 def floats(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
     """Return `value` as a new float64 array of finite numbers of this shape."""
     array = real_numbers(value)
@@ -137,12 +149,38 @@ def floats(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
 
 
 SYNONYMS = {
-    "cor": "restitution", "count": "n_bodies", "e": "restitution", "g": "gravity",
-    "iterations": "sweeps", "lines": "segments", "mu": "friction", "n": "n_bodies", "omega": "spin", "pos": "position",
-    "r": "radius", "rtol": "tolerance", "start": "warm_start", "time_step": "dt",
-    "timestep": "dt", "tol": "tolerance", "v": "velocity", "walls": "segments", "workers": "jobs",
+    "body": "bodies", "callback": "on_step", "collide": "touches", "collisions": "touches", "cor": "restitution",
+    "count": "n_bodies", "crr": "rolling_friction", "duration": "steps", "e": "restitution", "every": "record",
+    "filter": "touches", "g": "gravity", "hook": "on_step", "iterations": "sweeps", "lines": "segments",
+    "mask": "touches", "mu": "friction", "mu_r": "rolling_friction", "n": "n_bodies", "omega": "spin",
+    "pos": "position", "r": "radius", "rolling": "rolling_friction", "rolling_resistance": "rolling_friction",
+    "rtol": "tolerance", "start": "warm_start", "time": "steps", "time_step": "dt", "timestep": "dt",
+    "tol": "tolerance", "v": "velocity", "velocities": "fixed_velocities", "velocity": "fixed_velocities",
+    "walls": "segments", "workers": "jobs",
 }  # fmt: skip
 """Keyword that users try by mistake -> the keyword of this package."""
+
+_OWNERS = {
+    "dc.World": (
+        "box gravity friction restitution scales segments surface_speeds segment_velocities wall_materials "
+        "segment_materials touches rolling_friction"
+    ),
+    "dc.make_bodies": "position radius velocity angle spin density mass fixed material",
+    "dc.State": "world bodies contacts dt",
+    "dc.simulate": "steps solver warm_start accuracy sleep push record forces until on_step",
+    "dc.PGS": "sweeps tolerance position_sweeps substeps most_substeps approach slop",
+    "dc.PSOR": "omega",
+    "dc.simulate_many": "threads jobs",
+    "dc.circles_in_box": "n_bodies size seed",
+    "dc.Simulator.set": "fixed_velocities fixed_spins",
+    "dc.film": "fps colour",
+    "dc.recommend": "budget_ms",
+}
+OWNERS = {name: owner for owner, names in _OWNERS.items() for name in names.split()}
+"""Keyword -> the function or class that has it, for messages of calls that do not."""
+
+ALIKE = 0.7
+"""Smallest similarity (`difflib`) of a keyword and its suggestion. With 0.6, "save" would suggest "state"."""
 
 F = TypeVar("F", bound=Callable)
 
@@ -150,8 +188,8 @@ F = TypeVar("F", bound=Callable)
 def suggesting(function: F) -> F:
     """Decorate a function or class so that the TypeError of a wrong call has a suggestion.
 
-    For an unknown keyword the suggestion is the most similar keyword. For too many positional values the suggestion
-    names the first options, which are keyword-only.
+    For an unknown keyword the suggestion is the most similar keyword, or the function that has a keyword of this name.
+    For too many positional values the suggestion names the first options, which are keyword-only.
     """
     if isinstance(function, type):
         function.__init__ = suggesting(function.__init__)  # type: ignore[misc]
@@ -179,8 +217,15 @@ def _with_hint(message: str, function: Callable, keywords: dict, is_ours: bool) 
         return f"{message}; name the options: {', '.join(named)}" if named else message
     if wrong is None or wrong[1] not in keywords or "did you mean" in message:
         return message
-    meant = [SYNONYMS[wrong[1]]] if SYNONYMS.get(wrong[1]) in known else difflib.get_close_matches(wrong[1], known, 1)
-    return message.partition(". Did you")[0] + "".join(f"; did you mean {name!r}?" for name in meant)
+    plain, name = message[: wrong.end()], wrong[1]
+    meant = SYNONYMS.get(name, name)
+    near = [meant] if meant in known else [] if name in OWNERS else difflib.get_close_matches(name, known, 1, ALIKE)
+    if near:
+        return f"{plain}; did you mean {near[0]!r}?"
+    if plain != message and "; dc." in message:
+        return message  # with the owner that an inner function has named
+    owned = name if name in OWNERS else meant
+    return f"{plain}; {OWNERS[owned]} has {owned!r}" if owned in OWNERS else plain
 
 
 def flag(name: str, value) -> bool:
@@ -188,6 +233,12 @@ def flag(name: str, value) -> bool:
     if isinstance(value, (bool, np.bool_)):
         return bool(value)
     raise ValueError(f"{name}: expected True or False, got {brief(value)}")
+
+
+def function(name: str, value) -> None:
+    """Raise ValueError unless `value` can be called. It is for options that may also be None, which is not passed."""
+    if not callable(value):
+        raise ValueError(f"{name}: expected a function, or None, got {brief(value)}")
 
 
 def one_of(name: str, value, known: Collection):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from deep_contact.compiled import njit
 from deep_contact.stepping import sleeping
-from deep_contact.stepping.contacts import carry_impulses, detect_contacts, mass_if_fixed
+from deep_contact.stepping.contacts import Exclusions, carry_impulses, detect_contacts, mass_if_fixed
 from deep_contact.stepping.context import begin_steps, follow, results_of, set_segments, walls_of
 from deep_contact.stepping.convergence import all_finite
 from deep_contact.stepping.impacts import logged_rebound
@@ -28,7 +28,14 @@ from deep_contact.stepping.log import (
 from deep_contact.stepping.motion import integrate_positions, integrate_velocities
 from deep_contact.stepping.passing import without_passed
 from deep_contact.stepping.position_correction import correct_positions
-from deep_contact.stepping.rows import apply_impulses, contact_rows, move_walls, store_impulses, with_wall_bodies
+from deep_contact.stepping.rows import (
+    apply_impulses,
+    contact_rows,
+    move_walls,
+    store_impulses,
+    with_wall_bodies,
+    work_of_rolling,
+)
 from deep_contact.stepping.segment_grid import moved_segments
 from deep_contact.stepping.segments import positions_before
 from deep_contact.stepping.stay_inside import clamp_inside
@@ -37,16 +44,18 @@ from deep_contact.stepping.substeps import divide_by_motion, fly_on
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance(context, contacts, motion, sleep, log, actuation):
-    """Do as many steps as the log has rows, or fewer if its bound on the work ends the call. Bodies move in place.
+    """Do a step for each row of the log, or fewer if the log's bound on the work ends the call. Bodies move in place.
 
     A step has as many substeps as the solver asks for. Motion may divide these further (`substeps`). Code for
     segments, restitution, division by motion, sleep and continuous collision is compiled only if the scene needs it. If
     a circle becomes fast and the code for continuous collision is missing, the call ends before that substep. The next
-    call has the code, and goes on from there.
-    Returns `context.results_of` the context: where the contacts at the end are, and `StepLog.pair_impulses`.
-    context: `StepContext`. motion: `Motion` of its step; None without optional features (`context.with_optional`).
-    sleep: `SleepMemory`, or None if no circle may sleep. log: `StepLog`, filled in place. actuation: `Actuation` of the
-    step, or None. Numba leaves out the code behind a None only if the None is an argument.
+    call has the code, and begins with that substep.
+    Returns the result of `context.results_of`: the number of contacts at the end, or −1, and `StepLog.pair_impulses`.
+
+    context: `StepContext`. motion: `StepInput.motion` of the context's step; None if the code for optional features is
+    left out (`context.with_optional`). sleep: `SleepMemory`, or None if no circle may sleep. log: `StepLog`, filled in
+    place. actuation: `Actuation` of the step, or None. Numba leaves out the code behind a None only if the None is an
+    argument.
     """
     step = context.step
     begin_steps(context, contacts, log, actuation)
@@ -97,7 +106,7 @@ def do_substep(context, sleep, log, actuation):
     sleeping.store_awake_impulses(active, contacts, sleep)
     # Positions: of segments and of circles, and position correction.
     if actuation is not None:
-        log_work(substep, active, solver_bodies, log)
+        log_work(substep, active, solver_bodies, work_of_rolling(friction, rows, bodies), log)
         segments = moved_segments(segments, actuation, substep.dt)
     before = positions_before(bodies, segments)
     if not integrate_positions(bodies, solver_bodies, substep, segments, actuation, log.shifts):
@@ -105,10 +114,10 @@ def do_substep(context, sleep, log, actuation):
     correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
     # The contacts of the next substep, and the circles that sleep in it.
     context.buffer = 1 - context.buffer
-    walls, mass, buffer = walls_of(substep), mass_if_fixed(bodies, actuation), memory.contacts[context.buffer]
-    passed = clamp_inside(bodies, before, walls, segments, contacts, substep.touches, actuation, substep.dt)
-    touches = substep.touches
-    following = detect_contacts(bodies.position, bodies.radius, mass, walls, segments, touches, memory.cells, buffer)
+    walls, touches, buffer = walls_of(substep), substep.touches, memory.contacts[context.buffer]
+    passed = clamp_inside(bodies, before, walls, segments, contacts, touches, actuation, substep.dt)
+    exclusions = Exclusions(mass_if_fixed(bodies, actuation), touches)
+    following = detect_contacts(bodies.position, bodies.radius, walls, segments, exclusions, memory.cells, buffer)
     if actuation is not None:
         following = without_passed(following, bodies, segments, actuation, log.progress)
         if passed >= 0:

@@ -101,7 +101,7 @@ def make_cells(n):
 
 @njit(cache=True, error_model="numpy")
 def refresh_list(position, radius, cells, ahead):
-    """Make a new list of near pairs if the list in `cells` is out of date and a new one pays.
+    """Make a new list of near pairs if the list in `cells` is out of date and a new list saves time.
 
     Returns whether a valid list exists. position: (n, 2), m. radius: (n,), m. ahead: gap, m; a valid list contains all
     pairs with at most this gap.
@@ -158,7 +158,7 @@ def stays_within(position, anchor, x, y, distance):
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
 def common_motion(position, anchor):
-    """Return (x, y, apart), m: the middle of all displacements, and an upper bound of the difference between any two.
+    """Return (x, y, apart), m: the middle of all displacements, and an upper bound of the difference of any two.
 
     position, anchor: centres after and before the displacements, (n, 2), m.
     """
@@ -263,7 +263,10 @@ def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
 
 @njit(cache=True)
 def is_crowded(cells, n, count):
-    """Return whether the first `count` cells contain so many circles that size levels pay. n: number of circles."""
+    """Return whether the first `count` cells contain so many circles that size levels save time.
+
+    n: number of circles.
+    """
     in_cells_of_all = 0
     for c in range(count - 1):
         inside = cells.start[c + 1] - cells.start[c]

@@ -15,7 +15,7 @@ from deep_contact.compiled import njit
 from deep_contact.state.arrays import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
 from deep_contact.state.constants import NEARLY
 from deep_contact.stepping.broad_phase import TOUCHING, circles_around, refresh_list, sort_into_cells, sum_of
-from deep_contact.stepping.pairs import pass_through
+from deep_contact.stepping.pairs import PairTable, pass_through
 from deep_contact.stepping.segment_grid import segment_gap
 from deep_contact.stepping.segments import insert_pairs
 
@@ -32,6 +32,13 @@ class Walls(NamedTuple):
 
     box: tuple  # (x_min, y_min, x_max, y_max), m
     skin: float  # skin, m: distance from their surface at which walls and segments make contact
+
+
+class Exclusions(NamedTuple):
+    """Rules that exclude touching pairs from the contacts."""
+
+    mass: np.ndarray | None  # (n,), kg: a pair without a free circle has no contact; None if no circle is fixed
+    touches: PairTable | None  # pairs that pass through each other have no contact (`StepInput.touches`)
 
 
 def make_contacts(m):
@@ -124,22 +131,23 @@ def write_walls(x, y, reach, box, n, body_b, m):
 
 
 @njit(cache=True, error_model="numpy")
-def detect_contacts(position, radius, mass, walls, segments, touches, cells, buffer):
+def detect_contacts(position, radius, walls, segments, exclusions, cells, buffer):
     """Find all contacts at these positions, sorted by (body_a, body_b), with their geometry.
 
-    Their impulses and starting impulses are not initialised. position: (n, 2), m. radius: (n,), m. mass: (n,), kg, or
-    None if no circle is fixed. walls: `Walls`. segments: `Segments`, or None. touches: `StepInput.touches`. cells,
-    buffer: work arrays. Returns views of the buffer, or of a larger one.
+    Their impulses and starting impulses are not initialised. position: (n, 2), m. radius: (n,), m. walls: `Walls`.
+    segments: `Segments`, or None. exclusions: `Exclusions`. cells, buffer: work arrays. Returns views of the buffer, or
+    of a larger one.
     """
     refresh_list(position, radius, cells, 0.0)
-    contacts = find_pairs(position, radius, mass, walls, segments, touches, cells, buffer)
+    contacts = find_pairs(position, radius, walls, segments, exclusions, cells, buffer)
     write_geometry(position, radius, walls, segments, contacts, 0)
     return contacts
 
 
 @njit(inline="always")
-def find_pairs(position, radius, mass, walls, segments, touches, cells, buffer):
+def find_pairs(position, radius, walls, segments, exclusions, cells, buffer):
     """Find the pairs of `detect_contacts`, without their geometry. `cells` are those after `refresh_list`."""
+    touches = exclusions.touches
     while True:
         m = write_pairs(position, radius, walls, cells, buffer.body_a, buffer.body_b)
         if segments is not None:
@@ -149,7 +157,7 @@ def find_pairs(position, radius, mass, walls, segments, touches, cells, buffer):
             break
         # The buffer is too short. Only a heap of overlapping circles has so many pairs.
         buffer = more_contacts(2 * buffer.body_a.shape[0] + 64)
-    m = without_fixed(buffer.body_a, buffer.body_b, mass, m)
+    m = without_fixed(buffer.body_a, buffer.body_b, exclusions.mass, m)
     return some_contacts(buffer, 0, without_barred(buffer.body_a, buffer.body_b, touches, radius.shape[0], m))
 
 

@@ -118,7 +118,7 @@ class StepContext(Structure):
     | pair_impulses | array described in `StepLog.pair_impulses`                                         | yes     |
     | row           | index of the step in the arrays of the `StepLog`                                   | yes     |
     | buffer        | index of the array in `StepMemory.contacts` in which the contacts lie, 0 or 1      | yes     |
-    | is_inside     | whether the contacts lie there, and not in a larger array or in that of the caller  | yes     |
+    | is_inside     | whether the contacts lie in that array; otherwise in a larger one or the caller's   | yes     |
     """
 
 

@@ -303,8 +303,8 @@ def share_momentum(touches, time, together, paths, actuation, shifts):
         i, k, normal, slip = first[j], second[j], direction[NORMAL, j], direction[SLIP, j]
         normal[0], normal[1], rate[NORMAL, j] = approach_of(i, k, time, paths, actuation)
         slip[0], slip[1], rate[SLIP, j] = slip_apart(i, k, normal, time, paths, actuation)
-        yield_along(i, k, normal, paths, yielding[NORMAL, j])
-        yield_along(i, k, slip, paths, yielding[SLIP, j])
+        for way in range(2):
+            yield_along(i, k, direction[way, j], paths, yielding[way, j])
         for side in range(2):
             c = k if side == 1 else i
             if yielding[NORMAL, j, side, 0] > 0.0:
@@ -362,16 +362,17 @@ def hold(i, normal, sign, by, paths):
 
 @njit(inline="always")
 def yield_along(i, k, normal, paths, yielding):
-    """Write how circle i yields to a push along −normal, and body k to a push along +normal, into `yielding`, (2, 3).
+    """Write the `mobility` of circle i along −normal and of body k along +normal into the rows of `yielding`, (2, 3).
 
-    The two rows are results of `mobility`, and a body that is no circle has w = 0. If neither body can move, the circle
-    with the lower value of `Paths.held` yields as if it were free. If both values are equal, both circles do.
+    A wall or a segment has w = 0. If neither body can move, the circle with the lower value of `Paths.held` gets the
+    mobility of a free circle. If both values are equal, both circles get it.
     """
     n, inverse = paths.since.shape[0], paths.inverse
-    mobility(i, -normal[0], -normal[1], paths, yielding[0])
     yielding[1, 0] = 0.0
-    if k < n:
-        mobility(k, normal[0], normal[1], paths, yielding[1])
+    for side in range(2):
+        c, sign = (k, 1.0) if side == 1 else (i, -1.0)
+        if c < n:
+            mobility(c, sign * normal[0], sign * normal[1], paths, yielding[side])
     if yielding[0, 0] == 0.0 and yielding[1, 0] == 0.0:
         if inverse[i] > 0.0 and (k >= n or paths.held[i] <= paths.held[k] or inverse[min(k, n - 1)] == 0.0):
             yielding[0, 0], yielding[0, 1], yielding[0, 2] = inverse[i], -normal[0], -normal[1]
@@ -417,8 +418,8 @@ def hold_of(k, paths, actuation):
 def keep_energy(way, j, impulse, together, paths, actuation, shifts):
     """Correct a velocity after the j-th touch so that energy is conserved, in place.
 
-    The corrected velocity is that of the heavier circle, of those that the touch can move, along one direction. The
-    velocities contain the effect of gravity and external forces in a whole step. A touch changes how far the circles
+    Of the circles that the touch can move, the heavier one gets another velocity along one direction. The velocities
+    contain the effect of gravity and external forces in a whole step. A touch changes how far the circles
     move along these forces, and so their potential energy. Without the correction the total energy would change.
     Velocities are those of half a step before the positions.
 

@@ -64,8 +64,9 @@ def mean_theta(thetas: Iterable[np.ndarray], sweeps: int) -> np.ndarray:
     """Return the average convergence rate of a simulation, Eq 2.30: the mean over its steps of θ after each sweep.
 
     thetas: for each step, θ after each of its sweeps, N·s. A step that stopped before `sweeps` sweeps counts with its
-    last θ in the remaining sweeps. The thesis's own code leaves it out there, so that its means are over the slow steps
-    only. Returns (sweeps,), N·s. Raises ValueError if there is no step, or a step without sweeps.
+    last θ in the remaining sweeps. In the thesis's own code such a step does not count in the remaining sweeps, whose
+    means are therefore over the slow steps only. Returns (sweeps,), N·s. Raises ValueError if there is no step, or a
+    step without sweeps.
     """
     rows = [theta[:sweeps] for theta in thetas]
     expect(rows, "thetas: expected at least one step, got none")

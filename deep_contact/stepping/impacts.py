@@ -10,10 +10,9 @@ impulse P_i = L p_i along its normal, with
 
 The factor L has one value for each cluster. If e depends on the materials of a pair, (1 + e_i) p_i takes the place of
 p_i, also in u, and L = Σ (1 + e_i)² p_i x_i / Σ (1 + e_i) p_i (n_i · u). This L lies between 1 and 2 times the factor
-that takes the most energy, so that a rebound never adds energy. If all e_i are equal, both forms give one L p_i.
- In a cluster of a single contact, the impulse gives Newton's law,
-v_n⁺ = −e v_n⁻. Rounds follow one another until no contact approaches any more, or until there are too many rebounds
-(`MOST_STRIKES`).
+that takes the most energy, so that a rebound never adds energy. If all e_i are equal, both forms give one L p_i. In a
+cluster of a single contact, the impulse gives Newton's law, v_n⁺ = −e v_n⁻. Rounds follow one another until no contact
+approaches any more, or until there are too many rebounds (`MOST_STRIKES`).
 
 No impulse depends on the order of contacts or circles. A contact that hardly approaches changes no impulse by much.
 Momentum is conserved. The energy of a cluster changes by −½ (1 − e²) (Σ p_i x_i)² / Σ p_i (n_i · u). This change is 0

@@ -11,6 +11,7 @@ from deep_contact.state.arrays import Bodies
 from deep_contact.state.materials import in_scene
 from deep_contact.state.scales import ContactScales, mean
 from deep_contact.state.state import State
+from deep_contact.state.validation import brief
 from deep_contact.stepping.context import Actuation, Motion, StepInput
 from deep_contact.stepping.interface import METHODS, SolverOptions, entry_of
 from deep_contact.stepping.pairs import Rough, barred_pairs, largest_of, pair_property
@@ -41,8 +42,9 @@ def friction_with_rolling(state: State, solver):
         return friction
     if not entry_of(solver).rolls:
         known = ", ".join(name for name, kind in METHODS.items() if entry_of(kind()).rolls)
-        name = type(solver).__name__
-        raise ValueError(f"rolling_friction: expected 0 for {name}, since only {known} have rolling resistance")
+        why = f"since only {known} have rolling resistance"
+        got = brief(state.world.rolling_friction)
+        raise ValueError(f"rolling_friction: expected 0 for {type(solver).__name__}, {why}, got {got}")
     return Rough(friction, rolling)
 
 
@@ -86,10 +88,11 @@ def actuation_of(state: State) -> Actuation | None:
 
     Returns None if there are no moving segments, no fixed circles and no external forces.
     """
-    (force, torque), world, n = state.push or (None, None), state.world, state.bodies.count
+    (force, torque), world = state.push or (None, None), state.world
     if force is None and not world.segment_velocities and not state.bodies.is_fixed.any():
         return None
     if force is None:
+        n = state.bodies.count
         force, torque = np.zeros((n, 2)), np.zeros(n)
     wall = np.array(world.segment_velocities or np.zeros((len(world.segments), 4))).reshape(-1, 4)
     return Actuation(wall, np.flatnonzero(wall.any(axis=1)), force, torque)

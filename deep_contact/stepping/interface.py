@@ -217,7 +217,8 @@ def describe(solver) -> str:
 
 def make_workspace(settings, rows, solver_bodies):
     """Return work arrays of the loop for rows and solver bodies of this size; None if the loop needs none."""
-    return _make_workspace(type(settings))(settings, rows, solver_bodies)
+    make = _LOOPS[type(settings)].workspace
+    return None if make is None else make(rows, solver_bodies)
 
 
 def relax(settings, rows, friction, solver_bodies, theta, workspace):
@@ -234,19 +235,15 @@ def relax(settings, rows, friction, solver_bodies, theta, workspace):
 # callers, and all callers under NUMBA_DISABLE_JIT=1, run them as they stand.
 @overload(make_workspace)
 def _overload_make_workspace(settings, rows, solver_bodies):
-    return _make_workspace(settings.instance_class)
+    make = _LOOPS[settings.instance_class].workspace
+    if make is None:
+        return lambda settings, rows, solver_bodies: None
+    return lambda settings, rows, solver_bodies: make(rows, solver_bodies)
 
 
 @overload(relax)
 def _overload_relax(settings, rows, friction, solver_bodies, theta, workspace):
     return _relax(settings.instance_class)
-
-
-def _make_workspace(settings_type):
-    make = _LOOPS[settings_type].workspace
-    if make is None:
-        return lambda settings, rows, solver_bodies: None
-    return lambda settings, rows, solver_bodies: make(rows, solver_bodies)
 
 
 def _relax(settings_type):

@@ -94,12 +94,12 @@ def log_substep(log, k, contacts, sweeps, theta, relaxations):
 
 
 @njit(cache=True, error_model="numpy")
-def log_work(step, contacts, solver_bodies, log):
+def log_work(step, contacts, solver_bodies, of_rolling, log):
     """Add the work of moving segments, fixed circles and external forces in a substep to `StepLog.work`, J, in place.
 
     The power of an external force is the force times the mean of the velocities before and after the substep. step:
     `StepInput` of the substep. contacts: contacts with their solved impulses. solver_bodies: (N, 4), with the solved
-    velocities.
+    velocities. of_rolling: work by rolling resistance (`rows.work_of_rolling`), J.
     """
     bodies, actuation, of_pushes = step.bodies, step.actuation, 0.0
     for i in range(bodies.mass.shape[0]):
@@ -107,7 +107,8 @@ def log_work(step, contacts, solver_bodies, log):
             v_x, v_y = bodies.velocity[i, 0] + solver_bodies[i, 0], bodies.velocity[i, 1] + solver_bodies[i, 1]
             turn = bodies.spin[i] + solver_bodies[i, 2] / bodies.radius[i]
             of_pushes += actuation.force[i, 0] * v_x + actuation.force[i, 1] * v_y + actuation.torque[i] * turn
-    log.work[0] += work_on(step, contacts, impulses_of(contacts, 1.0 / step.substeps)) + 0.5 * step.dt * of_pushes
+    of_contacts = work_on(step, contacts, impulses_of(contacts, 1.0 / step.substeps))
+    log.work[0] += of_contacts + 0.5 * step.dt * of_pushes + of_rolling
 
 
 @njit(cache=True, error_model="numpy")
@@ -175,7 +176,7 @@ def log_impulses(log, pair_impulses, contacts, impulse, n):
                 log.on_circles[b, axis] += impulse[i, axis]
     if m == 0 or log.progress[WATCHED] == 0:
         return pair_impulses
-    # Contacts mostly have the pairs of the rows.
+    # In most cases the contacts have the same pairs as the rows.
     added = add_to_rows(pair_impulses, contacts, impulse, 0)
     if added < m:
         pair_impulses = with_pairs(pair_impulses, contacts)

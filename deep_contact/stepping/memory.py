@@ -1,4 +1,7 @@
-"""What steps keep from one call to the next: `Steps`, with its compiled code and its memory."""
+"""`Steps`: the compiled code and the memory that steps of a run pass from one call to the next.
+
+Tests: tests/run/test_simulator.py
+"""
 
 from __future__ import annotations
 
@@ -28,22 +31,22 @@ from deep_contact.stepping.problem import StepProblem, started
 
 
 class Steps:
-    """Steps of one solver: each call does some steps, in memory that the object keeps for the next call.
+    """Steps of one solver. Each call does some steps, and leaves its memory in the object for the next call.
 
-    solver: options with numbers in place of what follows the scene (`SolverOptions.for_state`). n: number of circles.
-    sleep: whether islands may sleep, where the solver can (`interface.Entry`); all start awake.
-    carry: see `StepOptions`.
+    solver: options with numbers in place of values that follow the scene (`SolverOptions.for_state`). n: number of
+    circles. sleep: whether islands may sleep; all start awake. The solver has to support sleep
+    (`interface.Entry.can_sleep`). carry: see `StepOptions`.
     """
 
     def __init__(self, solver, n: int, *, sleep: bool = False, carry: bool = True):
         entry = entry_of(solver)
         self._advance = entry.advance(solver) if entry.advance else advance
-        self._is_plain = not (sleep or entry.advance)  # whether optional features are left out; once False, it stays
+        self._is_plain = not (sleep or entry.advance)  # whether optional features are left out; once False, it stays so
         self._options = StepOptions(entry.settings(solver), solver.position_sweeps, carry)
         self._solver, self._memory, self._direct = solver, {}, {}
-        self._asked = self._rare = None  # the last input of steps, and its `with_optional`
+        self._plain_input = self._full_input = None  # the last input of steps, and its `with_optional`
         # Buffer -> the last input of steps, and its context. (Buffer, `_is_plain`) -> the argument `step` of the last
-        # call from there, the input that was made of it, the context and the compiled function.
+        # call that began in this buffer, the input that was made of it, the context and the compiled function.
         self._contexts: dict = {}
         self._buffers, self._views = {}, {}  # key -> three buffers; (buffer, key) -> the last contacts found in it
         self._found: tuple = (None, -1, False)  # body_a of the last contacts, their buffer, and the key of its memory
@@ -67,19 +70,23 @@ class Steps:
         self._options = self._options._replace(settings=entry_of(solver).settings(solver))
         return True
 
-    def memory(self, step: StepInput, contacts: int = 0) -> StepMemory:
-        """The memory of these steps, which differs for rows with and without tangents. contacts: their number."""
-        return self._memories(step, contacts)[-1]
+    def memory(self, step: StepInput, contacts: Contacts | None = None) -> StepMemory:
+        """Return the memory of steps with this input. It differs for rows with and without tangents.
 
-    def _memories(self, step: StepInput, contacts: int) -> list[StepMemory]:
-        """Four memories: memory i < 3 does not overwrite contacts in buffer i; the last is for contacts in no buffer.
+        contacts: `Contacts` from which the steps start; None stands for no contacts.
+        """
+        return self.memories(step, contacts)[-1]
 
-        They share everything but the two buffers that each of them fills (`_BUFFERS`).
+    def memories(self, step: StepInput, contacts: Contacts | None) -> list[StepMemory]:
+        """Return four memories, one for each place of the contacts before the steps. The first call allocates them.
+
+        Memory i < 3 does not overwrite contacts in buffer i. The last memory is for contacts in no buffer. The memories
+        share everything but the two buffers that each of them fills (`_BUFFERS`).
         """
         key = step.friction is None
         if key not in self._memory:
-            n, m = step.bodies.count, contacts
-            capacity, friction = max(4 * n, m + m // 2) + 64, step.friction
+            n, m, friction = step.bodies.count, 0 if contacts is None else contacts.count, step.friction
+            capacity = max(4 * n, m + m // 2) + 64
             memory = make_memory(n, capacity, self._solver.sweeps, friction)
             workspace = make_workspace(self._options.settings, memory.rows, memory.solver_bodies)
             memory = memory._replace(workspace=workspace)
@@ -88,7 +95,7 @@ class Steps:
         return self._memory[key]
 
     def _buffer_of(self, contacts: Contacts, key: bool) -> int:
-        """Index of the buffer in which the contacts lie, in the memories of this key; -1 if they lie in none."""
+        """Return the index of the buffer in which the contacts lie, in the memories of this key; -1 if in none."""
         found, buffer, kept = self._found
         return buffer if contacts.body_a is found and key == kept else -1
 
@@ -120,8 +127,8 @@ class Steps:
     ) -> tuple[Contacts, np.ndarray]:
         """Do as many steps as the log has rows, and fill the log. Bodies move in place.
 
-        problem: contact problem of the only step, if it is built already; the step overwrites it. If circles may sleep,
-        the step is divided or the scene has rolling resistance, it is ignored, and rows are built anew.
+        problem: contact problem of the only step, if it is built already; the step overwrites it. It is ignored, and
+        rows are built anew, if circles may sleep, if the step is divided, or if the scene has rolling resistance.
         Returns the contacts at the end, in memory that the next call does not overwrite, and `StepLog.pair_impulses`.
         """
         key, before, built = step.friction is None, 0, None
@@ -140,14 +147,14 @@ class Steps:
                 pair_impulses = log_impulses(log, log.pair_impulses, contacts, impacts, step.bodies.count)
                 log = log._replace(pair_impulses=pair_impulses)
         while True:
-            # Most calls repeat the last call that began in this buffer. What that call has found serves again.
+            # Most calls repeat the last call that began in this buffer, and use its context again.
             asked, found = step, self._contexts.get((buffer, self._is_plain))
             if built is None and found is not None and found[0] is step:
                 _, step, context, advance_steps = found
             else:
                 self._is_plain = self._is_plain and step.motion is None
                 step = step if self._is_plain else self._with_optional(step)
-                kind = self._is_plain, key, step.actuation is None  # what the types of all arguments depend on
+                kind = self._is_plain, key, step.actuation is None  # determines the types of all arguments
                 if kind not in self._direct:
                     self._direct[kind] = Direct(make_context), Direct(self._advance)
                 make, advance_steps = self._direct[kind]
@@ -168,13 +175,13 @@ class Steps:
     def _context_of(
         self, step: StepInput, buffer: int, contacts: Contacts, log: StepLog, built, make: Direct
     ) -> StepContext:
-        """The context of steps from contacts in this buffer. It serves until the input of the steps changes.
+        """Return the context of steps from contacts in this buffer. It stays the same until the input changes.
 
         built: fields of the memory that are filled already for a single step, or None. make: `make_context`.
         """
         before, context = self._contexts.get(buffer, (None, None))
         if built is not None or before is not step:
-            memory = self._memories(step, contacts.count)[buffer]
+            memory = self.memories(step, contacts)[buffer]
             memory = memory._replace(**built) if built else memory
             context = make(step, self._options, memory, contacts, log)
             if built is None:
@@ -182,9 +189,9 @@ class Steps:
         return context
 
     def _with_optional(self, step: StepInput) -> StepInput:
-        if step is not self._asked:
-            self._asked, self._rare = step, with_optional(step)
-        return self._rare
+        if step is not self._plain_input:
+            self._plain_input, self._full_input = step, with_optional(step)
+        return self._full_input
 
 
 _BUFFERS = (1, 2), (0, 2), (0, 1), (0, 1)

@@ -12,7 +12,7 @@ import numpy as np
 
 from deep_contact.state.arrays import Bodies
 from deep_contact.state.materials import at_contacts
-from deep_contact.state.state import State
+from deep_contact.state.state import State, native
 from deep_contact.stepping.problem import ContactSolution, after_impacts, contacts_of
 from deep_contact.stepping.segments import ground_velocities
 
@@ -121,4 +121,4 @@ def penetration(state: State) -> float:
     Circles penetrate other circles, walls and segments. Penetration of a wall or a segment is measured from its skin,
     which lies `ContactScales.wall_skin` in front of the surface, and not from the surface itself.
     """
-    return float(max(0.0, -contacts_of(state).separation.min(initial=0.0)))
+    return float(max(0.0, -contacts_of(native(state)).separation.min(initial=0.0)))

@@ -74,12 +74,12 @@ def is_rough(friction) -> bool:
 
 
 def is_table(value) -> bool:
-    """Return whether a property of pairs is a table. Of a `Rough` it is whether μ is one."""
+    """Return whether a property of pairs is a table; for a `Rough`, whether its μ is a table."""
     return isinstance(value.friction if isinstance(value, Rough) else value, PairTable)
 
 
 def value_of(value, a, b):
-    """Return the property of the pair of bodies a and b. value: number or `PairTable`; of a `Rough` it is μ."""
+    """Return the property of the pair of bodies a and b. value: number, `PairTable`, or a `Rough`, whose μ is meant."""
     value = value.friction if is_rough(value) else value
     return value.value[value.material[a], value.material[b]] if is_table(value) else value
 

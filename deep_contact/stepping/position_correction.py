@@ -227,7 +227,7 @@ def correct_tiles(body, normal, stride, centre, first, last, scales):
 
 @njit(cache=True)
 def fill_levels(contacts, n, workspace):
-    """Sort the contacts into tiles, level by level. Returns the number of tiles, or 0 if they would be too empty.
+    """Sort the contacts into tiles, level by level. Returns the number of tiles, or 0 if tiles would be too empty.
 
     The level of a contact is the first one after the levels of all earlier contacts that share a circle with it. n:
     number of circles.
@@ -292,8 +292,9 @@ def fill_ground(box, scales, ground):
 
 @njit(cache=True)
 def take_centres(centre, bodies):
-    """Write the corrected positions into the bodies that are not fixed, in place. centre: (n + 5, 4), of which x, y are
-    read.
+    """Write the corrected positions into the bodies that are not fixed, in place.
+
+    centre: (n + 5, 4); only the columns x and y are read.
     """
     for i in range(bodies.mass.shape[0]):
         if bodies.mass[i] < math.inf:

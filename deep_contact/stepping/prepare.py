@@ -40,7 +40,8 @@ def ready(state: State, *, of_step: bool = False) -> StateWithContacts:
     which names the quantity, its value, and the limit if the value is beyond it.
     """
     check_types(state)
-    if not (has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
+    segments = len(state.world.segments)
+    if state.contacts is None or not (has_engine_arrays(state) and is_valid(state.bodies, state.contacts, segments)):
         state = check_limits(with_checked_arrays(state))
     elif not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
         check_limits(state)
@@ -119,7 +120,7 @@ def _warn_of_outside(state: StateWithContacts) -> None:
     """Warn if free circles have their centres outside of the box. The walls pull them in, through other circles."""
     position, box = state.bodies.position, state.world.box
     is_outside = ((position < box[:2]) | (position > box[2:])).any(axis=1)
-    outside = np.flatnonzero(is_outside & ~state.bodies.is_fixed)
+    outside = np.flatnonzero(is_outside & ~state.bodies.is_fixed) if is_outside.any() else ()
     for i in outside[:1]:
         where = f"circle {i} lies outside of the box {box}, at ({position[i, 0]:g}, {position[i, 1]:g}) m"
         more = f" ({outside.size:,} circles do)" if outside.size > 1 else ""

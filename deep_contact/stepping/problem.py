@@ -17,9 +17,9 @@ from deep_contact.state.arrays import Contacts
 from deep_contact.state.equality import by_value
 from deep_contact.state.materials import largest
 from deep_contact.state.scales import ContactScales
-from deep_contact.state.state import State, native
+from deep_contact.state.state import State
 from deep_contact.stepping.broad_phase import make_cells
-from deep_contact.stepping.contacts import Walls, detect_contacts, make_contacts
+from deep_contact.stepping.contacts import Exclusions, Walls, detect_contacts, make_contacts
 from deep_contact.stepping.convergence import ConvergenceRecord, convergence_record
 from deep_contact.stepping.impacts import rebound
 from deep_contact.stepping.inputs import friction_with_rolling, leaves_tangents_out, reach_of, step_input
@@ -59,9 +59,8 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
 def build_rows(step, contacts, solver_bodies, actuation):
     """Return the rows of a step, and write the velocities after Δt of gravity and external forces into `solver_bodies`.
 
-    The step's impacts have been applied before. step: `StepInput`. contacts: `Contacts`. solver_bodies: (N, 4), columns
-    `V_X` to `INVERSE_MASS` of `rows`. actuation: `Actuation` of the step,
-    or None.
+    The impacts of the step have to be applied before. step: `StepInput`. contacts: `Contacts`. solver_bodies: (N, 4),
+    columns `V_X` to `INVERSE_MASS` of `rows`. actuation: `Actuation` of the step, or None.
     """
     integrate_velocities(step.bodies, step.gravity, step.dt, solver_bodies, actuation)
     buffer, radius = more_rows(contacts.body_a.shape[0], step.friction), step.bodies.radius
@@ -94,6 +93,7 @@ class ContactSolution(NamedTuple):
         return f"ContactSolution({html.counted(self.normal_impulses.size, 'contact')}, {self.record})"
 
 
+@by_value
 class StepProblem(NamedTuple):
     """The contact problem of the next step of a state, after the impacts of that step.
 
@@ -149,14 +149,16 @@ def started(problem: StepProblem, contacts: Contacts, friction) -> StepProblem:
 
 
 def contacts_of(state: State) -> Contacts:
-    """Return the contacts at the positions of a state, with impulses of 0."""
-    bodies, world, scales = native(state).bodies, state.world, state.scales
+    """Return the contacts at the positions of a state, with impulses of 0.
+
+    The arrays of the state have the byte order of this machine (`state.native`).
+    """
+    bodies, world, scales = state.bodies, state.world, state.scales
     segments = segments_in_grid(world, reach_of(state, scales)) if world.segments else None
-    mass, n = bodies.mass if bodies.is_fixed.any() else None, bodies.count
-    walls, cells = Walls(world.box, scales.wall_skin), make_cells(n)
-    buffer = make_contacts(4 * n + 64)
-    touches = barred_pairs(state)
-    found = detect_contacts(bodies.position, bodies.radius, mass, walls, segments, touches, cells, buffer)
+    walls, n = Walls(world.box, scales.wall_skin), bodies.count
+    mass, touches = bodies.mass if bodies.is_fixed.any() else None, None if world.is_uniform else barred_pairs(state)
+    exclusions, cells, buffer = Exclusions(mass, touches), make_cells(n), make_contacts(4 * n + 64)
+    found = detect_contacts(bodies.position, bodies.radius, walls, segments, exclusions, cells, buffer)
     # The first five arrays are copied, since they lie in a larger buffer. The four arrays of impulses are set to zero.
     return Contacts(*map(np.copy, found[:5]), *map(np.zeros_like, found[5:]))
 

@@ -103,10 +103,10 @@ def friction_of(friction, data, i):
 
 
 def write_friction(friction, rows, i, bodies, inverse_masses, radius) -> None:
-    """Write into row i, in place, what it needs of a table of μ and of rolling resistance. λ_r becomes 0.
+    """Write the columns of friction into row i, in place: μ if it is a table, ρ and its masses if there is rolling.
 
-    friction: as in `StepInput`. bodies: indices (a, b) as in `Contacts`. inverse_masses: of both, 1/kg. radius: (n,),
-    m.
+    λ_r becomes 0. friction: as in `StepInput`. bodies: indices (a, b) as in `Contacts`. inverse_masses: inverse masses
+    of both bodies, 1/kg. radius: (n,), m.
     """
     if is_table(friction):
         rows.data[i, FRICTION] = value_of(friction, *bodies)
@@ -142,7 +142,7 @@ def start_rolling(friction, rows, v) -> None:
 
 @njit(cache=True, error_model="numpy")
 def write_rolling(rolling, rows, i, bodies, inverse_masses, radius):
-    """Write the columns of rolling resistance into row i, in place. Arguments as in `write_friction`."""
+    """Write the columns of rolling resistance into row i, in place. The arguments are those of `write_friction`."""
     (a, b), (w_a, w_b), data = bodies, inverse_masses, rows.data
     turn_a, turn_b = 1.0 / radius[a], 1.0 / radius[b] if b < radius.shape[0] else 0.0
     data[i, ROLLING], data[i, TURN_A], data[i, TURN_B] = value_of(rolling, a, b), turn_a, turn_b
@@ -176,6 +176,28 @@ def roll_all(rows, v):
             a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
             masses = v[a, INVERSE_MASS], v[b, INVERSE_MASS]
             v[a, V_S], _ = roll(rows.body, rows.data, rows.impulse, i, v, v[a, V_S], masses, 0.0)
+
+
+def work_of_rolling(friction, rows, bodies) -> float:
+    """Return the work of fixed circles on free circles by rolling resistance, J; 0 if there are no rolling rows.
+
+    A fixed circle that turns at ω does the work −ω τ Δt, where τ Δt is the torque impulse on it: λ_r if it is the
+    second body, and −λ_r if it is the first. friction: as in `StepInput`. bodies: `Bodies`.
+    """
+    return work_of_rows(rows.body, rows.impulse, bodies.mass, bodies.spin) if is_rough(friction) else 0.0
+
+
+@njit(cache=True)
+def work_of_rows(body, impulse, mass, spin):
+    """Do `work_of_rolling` for rows with rolling resistance. mass, spin: of the circles, (n,), kg and rad/s."""
+    work, n = 0.0, mass.shape[0]
+    for i in range(body.shape[0]):
+        a, b = body[i, BODY_A], body[i, BODY_B]
+        if mass[a] == np.inf:
+            work += impulse[i, ROLL] * spin[a]
+        if b < n and mass[b] == np.inf:
+            work -= impulse[i, ROLL] * spin[b]
+    return work
 
 
 @overload(friction_of)
@@ -233,6 +255,13 @@ def _overload_start_rolling(friction, rows, v):
     if is_rough_type(friction):
         return lambda friction, rows, v: roll_all(rows, v)
     return lambda friction, rows, v: None
+
+
+@overload(work_of_rolling)
+def _overload_work_of_rolling(friction, rows, bodies):
+    if is_rough_type(friction):
+        return lambda friction, rows, bodies: work_of_rows(rows.body, rows.impulse, bodies.mass, bodies.spin)
+    return lambda friction, rows, bodies: 0.0
 
 
 def frictions(rows: Rows, friction) -> float | np.ndarray:

@@ -107,13 +107,13 @@ def ground_velocities(contacts, world, n):
 
 @njit(cache=True, error_model="numpy", _nrt=False)
 def touches(segments, box, i, s, x, y, reach, barred):
-    """Return whether circle i with its centre at (x, y) has a contact with segment s, if all pairs touch.
+    """Return whether circle i with its centre at (x, y) has a contact with segment s.
 
-    It has one if the segment is at most `reach`, m, from the centre, and its nearest point is not a hidden end. An end
-    is hidden if a wall, or another segment that is at least as near, has the contact in its place. Of two ends that are
-    equally near, that of the segment with the smaller index is not hidden. A segment through which the circle passes
-    hides no end. box: that of the `World`. barred: `StepInput.touches`, and the number n + 4 to which the index of a
-    segment is added.
+    Whether the circle passes through this segment is not tested here. It has a contact if the segment is at most
+    `reach`, m, from the centre, and its nearest point is not a hidden end. An end is hidden if a wall, or another
+    segment that is at least as near, has the contact in its place. If two ends are equally near, the end of the segment
+    with the smaller index is not hidden. A segment through which the circle passes hides no end. box: box of the
+    `World`. barred: `StepInput.touches`, and the number n + 4 to which the index of a segment is added.
     """
     line = segments.line
     segment = line[s]
@@ -205,10 +205,10 @@ def insert_pairs(position, radius, walls, segments, barred, body_a, body_b, m):
 
 @njit(cache=True, error_model="numpy")
 def first_crossing(segments, i, x, y, to_x, to_y, buffer, barred, actuation):
-    """Return at which share of the straight path from (x, y) to (to_x, to_y) it first crosses a segment at rest.
+    """Return the share of the straight path from (x, y) to (to_x, to_y) before it first crosses a segment at rest.
 
-    Segments through which circle i passes do not count. Returns infinity if it crosses none. buffer: (S,), overwritten.
-    barred: see `touches`. actuation: `Actuation` of the step, or None.
+    Segments through which circle i passes do not count. Returns infinity if the path crosses none. buffer: (S,),
+    overwritten. barred: see `touches`. actuation: `Actuation` of the step, or None.
     """
     first = math.inf
     for s in near_box(segments, min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y), buffer):
@@ -222,9 +222,9 @@ def first_crossing(segments, i, x, y, to_x, to_y, buffer, barred, actuation):
 
 @njit(cache=True, error_model="numpy")
 def crossing(segment, x, y, to_x, to_y):
-    """Return at which share of the path it crosses one segment, moving or at rest (`first_crossing`).
+    """Return the share of a path before it crosses one segment, moving or at rest (`first_crossing`).
 
-    Returns infinity if it does not cross the segment.
+    Returns infinity if the path does not cross the segment.
     """
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     before = e_x * (y - segment[1]) - e_y * (x - segment[0])
@@ -327,10 +327,11 @@ def touched(contacts, a, b):
 
 @njit(cache=True, error_model="numpy")
 def time_to_touch(segment, x, y, m_x, m_y, least):
-    """Return (time, part): when a point first comes within `least`, m, of a segment, and of which part of it.
+    """Return (time, part): the time at which a point first comes within `least`, m, of a segment, and the nearest part.
 
     The point moves by (m_x, m_y), m. The time is a share of this motion, or infinity if the point is nearer already. If
-    its distance is `least` to rounding, and decreases, the time is 0. part: `BESIDE`, `START` or `END`.
+    the distance is `least` to rounding, and decreases, the time is 0. part: the part of the segment that is nearest at
+    this time, `BESIDE`, `START` or `END`.
     """
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     length, nearer = math.sqrt(e_x * e_x + e_y * e_y), (1.0 - _ROUNDING) * least

@@ -2,9 +2,9 @@
 
 An island is a group of circles that touch each other, directly or through other circles. A circle is still while its
 speed and spin are at most `sleep_speed` and `sleep_spin` of the `ContactScales`. An island falls asleep once all of its
-circles have been still for `sleep_time` and do not accelerate. An island stays awake
-if one of its contacts needs position correction, or if it touches a moving segment or a segment whose surface moves.
-When an island falls asleep, the velocities of its circles become 0. Its contacts keep their impulses until it wakes.
+circles have been still for `sleep_time` and do not accelerate. An island stays awake if one of its contacts needs
+position correction, or if it touches a moving segment or a segment whose surface moves. When an island falls asleep,
+the velocities of its circles become 0. Its contacts keep their impulses until it wakes.
 
 An island wakes as a whole when a circle that is awake or a moving segment touches it, or when the external force on one
 of its circles changes. Contacts are searched among all circles, unless all circles sleep. A new run starts with all
@@ -38,7 +38,7 @@ The displacements are those of the circle in two successive halves of a sleep ti
 
 
 class SleepMemory(NamedTuple):
-    """What steps remember of the sleep of n circles, and work arrays."""
+    """Memory of the sleep of n circles, and work arrays."""
 
     still: np.ndarray  # (n,): time for which each circle has been still, s; infinite while the circle sleeps
     place: np.ndarray  # (2, n, 2): positions at the last comparison and at the comparison before it, m
@@ -118,7 +118,7 @@ def awake_contacts(contacts, sleep):
     if contacts.body_a.shape[0] > buffer.body_a.shape[0]:
         buffer = more_contacts(contacts.body_a.shape[0])
     for i in range(contacts.body_a.shape[0]):
-        # Islands sleep as a whole, so one circle of a contact decides.
+        # Islands sleep as a whole, so that one circle tells whether the contact sleeps.
         if still[contacts.body_a[i]] < np.inf:
             buffer.body_a[m], buffer.body_b[m] = contacts.body_a[i], contacts.body_b[i]
             buffer.normal[m, 0], buffer.normal[m, 1] = contacts.normal[i, 0], contacts.normal[i, 1]

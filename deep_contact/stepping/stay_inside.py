@@ -31,9 +31,9 @@ def any_outside(position, box):
 def clamp_to_box(bodies, walls, solved):
     """Move centres that have left the box in this substep back inside, in place, to half a radius from the wall.
 
-    A centre leaves the box only if it is pressed harder than the sweeps and position correction can withstand. solved:
-    contacts at the start of the substep. A centre that was outside of a wall already then is not moved: its contact
-    with the wall brings it back.
+    A centre leaves the box only if it is pressed harder than the sweeps and position correction can withstand. A centre
+    that was outside of a wall at the start of the substep is not moved: its contact with the wall brings it back.
+    solved: contacts at the start of the substep.
     """
     n = bodies.mass.shape[0]
     was_outside = np.zeros((n, 4), np.bool_)
@@ -55,8 +55,9 @@ def clamp_inside(bodies, before, walls, segments, solved, touches, actuation, dt
     """Clamp centres to the inside of the box and to their side of segments, in place (`clamp_to_box`, `clamp_beside`).
 
     before: positions at the start of the substep, (n, 2), m, from `positions_before`; read only if there are segments.
-    solved: contacts at those positions. touches: `StepInput.touches`. actuation: `Actuation` of the substep, or None.
-    dt: Δt of the substep, s. Returns the index of a circle over which a moving segment passes, or −1.
+    segments: `Segments` at its end. solved: contacts at the positions before. touches: `StepInput.touches`. actuation:
+    `Actuation` of the substep, or None. dt: Δt of the substep, s. Returns the index of a circle over which a moving
+    segment passes, or −1.
     """
     passed = np.int64(-1)
     if any_outside(bodies.position, walls.box):

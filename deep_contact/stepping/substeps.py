@@ -44,10 +44,10 @@ def divide_by_motion(context, log, actuation):
 
 @njit(cache=True, error_model="numpy")
 def fly_on(context, change, log, actuation):
-    """Correct the velocities of circles in flight for a change of Δt, in place (`shift_flights`).
+    """Shift the velocities of circles in flight (`shift_flights`), in place, because Δt changes.
 
-    The correction is done only if e > 0 and motion has divided the solver's substep. change: decrease of Δt, s. log:
-    `StepLog`. actuation: `Actuation` of the step, or None.
+    Nothing changes if e = 0, or if motion does not divide the solver's substep. change: the old Δt minus the new Δt, s.
+    log: `StepLog`. actuation: `Actuation` of the step, or None.
     """
     step = context.step
     if context.substep.substeps > step.substeps and largest_of(step.restitution) > 0.0:

@@ -295,14 +295,10 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
     process. For high the bounds are exchanged, and the largest ratio is taken. Entries of the ratio are None if they
     are unknown.
     """
-    known = [row for row in rows if row["us"] is not None and row["errors"] and row.get("known", 0.0) <= KNOWN]
+    found = {at: candidates_by_cell(rows, at) for at in range(3)}
 
     def cheapest(n, engine, preset, kind="plain", at=0):
-        candidates = [
-            row | {"errors": {name: rounded(error[at]) for name, error in row["errors"].items() if error}}
-            for row in known
-            if (row["n_bodies"], row["kind"], row["setting"].get("engine")) == (n, kind, engine)
-        ]
+        candidates = found[at].get((n, kind, engine), [])
         kept = keeping(candidates, PRESETS[preset], margin=engine is None and at == 0)
         best = min(kept, key=lambda one: one["us"], default=None)
         return best and {key: best[key] for key in ("name", "us", "times", "seeds")}
@@ -332,6 +328,23 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
         }
         for n, preset in product(kinds, PRESETS)
     ]
+
+
+def candidates_by_cell(rows: Iterable[Mapping], at: int = 0) -> dict[tuple, list[dict]]:
+    """Return the rows among which a preset chooses: (circles, kind, engine or None) -> rows of known times and errors.
+
+    Settings with a large error in motions of known results are left out (`presets.KNOWN`). Each row has "errors", name
+    -> number, `rounded`. at: 0 for the errors themselves, 1 for the lower and 2 for the upper ends of their intervals.
+    """
+    cells: dict[tuple, list] = {}
+    for row in rows:
+        if row["us"] is None or not row["errors"] or row.get("known", 0.0) > KNOWN:
+            continue
+        known = {name: error for name, error in row["errors"].items() if error}
+        errors = {name: rounded(error[at]) for name, error in known.items()}
+        key = row["n_bodies"], row["kind"], row["setting"].get("engine")
+        cells.setdefault(key, []).append(row | {"errors": errors})
+    return cells
 
 
 def rounded(error: float) -> float:

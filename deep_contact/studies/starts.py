@@ -25,7 +25,7 @@ from deep_contact.parallel import parallel_map, seeds
 from deep_contact.plot import plotting
 from deep_contact.run.one_scene import simulate, solve_contacts
 from deep_contact.scenes import circles_in_box
-from deep_contact.solvers import PGS
+from deep_contact.solvers import PGS, SolverOptions
 from deep_contact.sph.start import Sph, solved_impulses
 from deep_contact.starts.names import Start, WarmStart, warm_start_of
 from deep_contact.state import constants
@@ -84,7 +84,7 @@ CHOSEN = {name: {"spacing": SPACING, "transfer": transfer} for name, transfer in
 
 
 def solved_states(
-    scene: State, *, steps: int, solver=THOROUGH, every: int = 1, contacts_only: bool = True
+    scene: State, *, steps: int, solver: SolverOptions = THOROUGH, every: int = 1, contacts_only: bool = True
 ) -> list[StateWithContacts]:
     """Simulate a scene, and return solved states of the run, one every `every` steps.
 
@@ -263,13 +263,13 @@ def compare_starts(
     progress: Callable | None = None,
     **scene_options,
 ) -> dict:
-    """Do the thesis's comparison of starts over several scenes. Returns data for a results file.
+    """Solve the steps of several scenes from several starts, and return θ after each sweep, for a results file.
 
-    starts: name -> description (`start_of`). steps: number of time steps of a run. sweeps: number of sweeps in a step.
-    scenes: number of scenes. modes: some of `MODES`. seed: seed from which those of the scenes are made. jobs: number
-    of processes. progress: function that shows the progress, as for `parallel_map`. scene_options: options of
-    `scene_of`. Returns {"sweep": numbers of sweeps (k,), "threshold": `THRESHOLD`, N·s, mode: {name: curves}}. The
-    curves of a start are a dict:
+    This is the thesis's experiment. starts: name -> description (`start_of`). steps: number of time steps of a run.
+    sweeps: number of sweeps in a step. scenes: number of scenes. modes: some of `MODES`. seed: the seeds of the scenes
+    follow from this seed. jobs: number of processes. progress: function that shows the progress, as for `parallel_map`.
+    scene_options: options of `scene_of`. Returns {"sweep": numbers of sweeps, (k,), "threshold": `THRESHOLD`, N·s,
+    mode: {name of a start: curves}}. The curves are a dict:
 
     * "theta": mean θ after each number in "sweep", (k,), N·s;
     * "sweeps": {"mean", "median"} of the sweeps until θ is at most `THRESHOLD`;
@@ -344,7 +344,7 @@ def draw_comparison(data: dict, title: str, over: str | None = "builtin", hidden
 def bands(data: dict, of: str = "95 %, all sweeps at once") -> str:
     """Return the part of a title that explains the bands, or "" if there is a single scene and so no band.
 
-    data: result of `compare_starts`. of: words for the kind of the bands.
+    data: result of `compare_starts`. of: text that names the kind of the bands.
     """
     return f"; bands: {of}" if verdicts.scenes_of(data["independent"]) > 1 else ""
 

@@ -17,7 +17,8 @@ BAR = {"segments": [((0.0, 5.0), (9.0, 5.0)), ((0.0, 9.0), (9.0, 9.0))]}
 def scene(**options):
     """Three circles of which the middle one is the largest, heaviest and fastest of 5 m/s."""
     bodies = {"radius": [0.5, 2.0, 1.0], "mass": [1.0, 8.0, 3.0], "velocity": [[1.0, 0.0], [-3.0, 4.0], [0.0, 0.0]]}
-    return circles_at([[2.0, 1.0], [8.0, 7.0], [5.0, 3.0]], box=(0.0, 0.0, 20.0, 30.0), **bodies | options)
+    options = {"box": (0.0, 0.0, 20.0, 30.0)} | options
+    return circles_at([[2.0, 1.0], [8.0, 7.0], [5.0, 3.0]], **bodies | options)
 
 
 def test_numbers_of_three_circles_by_hand():
@@ -32,6 +33,13 @@ def test_numbers_of_three_circles_by_hand():
     assert (found.height, found.width, found.box_width) == (6.0, 6.0, 20.0)
     # Denser than the geometric mean, 2.83: those at 1 and 3 m. The other is at 7 m: (2 − 7) / 6.
     assert found.layers == pytest.approx(-5.0 / 6.0)
+
+
+@pytest.mark.parametrize("seed", [1, 15, 16])
+def test_densities_that_differ_by_rounding_make_no_layers(seed):
+    found = scene_numbers(dc.lattice_in_box(5, radius=(0.7, 1.0), seed=seed))
+    assert found.density_ratio == pytest.approx(1.0, abs=1e-12)
+    assert found.layers == 0.0
 
 
 @pytest.mark.parametrize(
@@ -108,3 +116,33 @@ def test_no_circles_have_numbers():
         1.0,
     )
     assert (empty.layers, empty.fastest, empty.squares, empty.height, empty.width) == (0.0,) * 5
+
+
+@pytest.mark.parametrize(
+    ("segments", "opening"),
+    [
+        ([], 0.0),
+        ([((0, 3), (20, 9))], 0.0),
+        ([((20, 1), (12, 5)), ((12, 5), (0, 3))], 0.0),  # in any order
+        ([((0, 3), (20, 9)), ((6, 1), (9, 1))], 0.0),  # below the line
+        ([((0, 9), (7, 5)), ((11, 5), (20, 9))], 4.0),
+        ([((3, 5), (18, 5))], 3.0),  # at the left wall
+        ([((0, 5), (18, 5)), ((18, 5), (18, 9))], 2.0),  # at the right wall, behind an upright segment
+        ([((0, 9), (12, 7)), ((8, 2), (20, 4))], 7.0 - (2.0 + 2.0 / 3.0)),  # a chute: between two that overlap
+        ([((0, 9), (8, 9)), ((11, 5), (20, 5))], 5.0),  # 3 across and 4 down
+        ([((0, 5), (7, 5)), ((20, 1), (20, 8))], 13.0),  # to an upright segment
+        ([((0, 5), (14, 5)), ((20, 13), (20, 18))], 10.0),  # 6 across and 8 up, to its lower end
+    ],
+)
+def test_the_opening_is_the_widest_gap_in_the_ground(segments, opening):
+    assert scene_numbers(scene(segments=segments)).opening == pytest.approx(opening, abs=1e-12)
+    assert scene_numbers(scene(segments=segments, gravity=(0.0, 0.0))).opening == 0.0
+    aside = [((y, x), (v, u)) for (x, y), (u, v) in segments]
+    turned = scene(segments=aside, gravity=(9.81, 0.0), box=(0.0, 0.0, 30.0, 20.0))
+    assert scene_numbers(turned).opening == pytest.approx(opening, abs=1e-12)
+
+
+def test_what_moves_is_no_ground():
+    line, up, still = [((0, 5), (12, 5)), ((12, 5), (20, 5))], ((0, 1), (0, 1)), ((0, 0), (0, 0))
+    assert scene_numbers(scene(segments=line, segment_velocities=[still, up])).opening == pytest.approx(8.0)
+    assert scene_numbers(scene(segments=line, segment_velocities=[up, up])).opening == 0.0

@@ -39,7 +39,7 @@ def in_another_process(seed, *, method="PGS", folder=None, **environment):
     return run_python("-c", code, environment=environment, cwd=folder).stdout.strip()
 
 
-@pytest.mark.parametrize("method", ["PGS", "NNCG"])
+@pytest.mark.parametrize("method", ["PGS", pytest.param("NNCG", marks=pytest.mark.slow)])
 def test_another_process_with_other_threads_and_hash_seeds_computes_the_same(method):
     environment = {"NUMBA_NUM_THREADS": "1", "PYTHONHASHSEED": "7", "OMP_NUM_THREADS": "3"}
     assert in_another_process(5, method=method, **environment) == run(5, method=method)

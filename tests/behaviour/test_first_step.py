@@ -17,5 +17,6 @@ def test_a_first_step_and_a_step_of_a_simulator_call_few_functions():
     tool = counted()
     first, step = tool.first_step(), tool.step_of_simulator()
     assert any(function == "advance" for _, _, function in first)
-    assert len(first) <= 170
+    assert len(first) <= 120
+    assert tool.changes_of_file(first) <= 86
     assert len(step) <= 16

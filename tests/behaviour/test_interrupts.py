@@ -80,8 +80,7 @@ def delays(name, count):
 @pytest.mark.skipif(sys.platform == "win32", reason="a signal to a process of its own is POSIX's")
 @pytest.mark.parametrize(
     ("name", "count"),
-    [(name, 3) for name in ("PGS", "simulate_many", "step", "solve_exactly")]
-    + [pytest.param(name, 20, marks=pytest.mark.slow) for name in RUNS],
+    [("PGS", 3)] + [pytest.param(name, 20, marks=pytest.mark.slow) for name in RUNS],
 )
 def test_ctrl_c_is_raised_at_once_and_the_next_call_works(name, count):
     # Ten times the half second that a quiet machine takes at most.

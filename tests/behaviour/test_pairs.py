@@ -120,7 +120,9 @@ def relabelled(state, order):
     back = np.argsort(order)
     tables = {name: np.array(getattr(world, name)) for name in ("friction", "restitution", "touches")}
     tables = {name: table[np.ix_(back, back)] if table.ndim else table.item() for name, table in tables.items()}
-    materials = {name: order[np.array(getattr(world, name), int)] for name in ("wall_materials", "segment_materials")}
+    of_segments = world.segment_materials or np.zeros(len(world.segments), int)  # () stands for 0
+    found = {"wall_materials": world.wall_materials, "segment_materials": of_segments}
+    materials = {name: order[np.array(values, int)] for name, values in found.items()}
     bodies = state.bodies._replace(material=order[state.bodies.material])
     return state.replace(world=replace(world, **tables, **materials), bodies=bodies)
 

@@ -100,6 +100,28 @@ def test_two_discs_that_meet_keep_their_angular_momentum(solver):
     assert angular(turned) == pytest.approx(angular(state.bodies), abs=arm)
 
 
+@pytest.mark.parametrize("solver", [*TWO, dc.PGS(**FEW, substeps=2)])
+@pytest.mark.parametrize("roller_first", [True, False])
+def test_a_roller_that_turns_a_smooth_disc_works_by_its_torque(solver, roller_first):
+    """The disc gets the torque ρ N from the roller, and the roller works at ρ N Ω. Contacts take ρ N (Ω − ω)."""
+    rho, force, turns, steps = 0.1, 50.0, 20.0, 40
+    order = [0, 1] if roller_first else [1, 0]
+    columns = [np.array(values)[order] for values in ([[20.0, 20.0], [20.0, 21.9975]], [turns, 0.0], [True, False])]
+    state = circles_at(
+        columns[0], spin=columns[1], fixed=columns[2], mass=np.where(columns[2], 1.0, 2.0), friction=0.0,
+        rolling_friction=rho, gravity=(0.0, 0.0), box=(0.0, 0.0, 40.0, 40.0),
+    )  # fmt: skip
+    push = np.where(columns[2][:, None], 0.0, [[0.0, -force]])
+    run = dc.simulate(state, steps=steps, solver=solver, push=push, record=1)
+    time, disc = run.trajectory.times, order.index(1)
+    spin = rho * force * time / 1.0  # I = m r² / 2 = 1 kg·m²
+    assert spin[-1] < 0.5 * turns
+    np.testing.assert_allclose(run.trajectory.spins[:, disc], spin, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(run.trajectory.work, rho * force * turns * time, rtol=0, atol=1e-9)
+    taken = np.diff(rho * force * turns * time - 0.5 * spin**2)
+    np.testing.assert_allclose(run.trajectory.dissipated, taken, rtol=0, atol=1e-9)
+
+
 @pytest.mark.parametrize("solver", TWO)
 @pytest.mark.parametrize("seed", range(2))
 def test_rolling_resistance_makes_no_energy(solver, seed):

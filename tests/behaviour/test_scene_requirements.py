@@ -28,7 +28,7 @@ def general(monkeypatch):
     return run
 
 
-@pytest.mark.parametrize("solver", [dc.PGS(), dc.PSOR()])
+@pytest.mark.parametrize("solver", [dc.PGS(), pytest.param(dc.PSOR(), marks=pytest.mark.slow)])
 def test_frictionless_runs_are_those_of_the_general_rows_bit_for_bit(solver, general):
     one, other = (run(spinning_scene(), steps=200, solver=solver) for run in (dc.simulate, general))
     assert one.contacts.max() > 25

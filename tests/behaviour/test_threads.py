@@ -132,7 +132,7 @@ def differing(calls, count, least):
 
 
 def test_every_function_gives_in_8_threads_what_it_gives_alone(calls):
-    assert differing(calls, 3 * THREADS, least=2) == []
+    assert differing(calls, THREADS, least=2) == []
     public = {name for name in dc.__all__ if inspect.isfunction(getattr(dc, name))}
     assert public - calls.keys() == set()
 

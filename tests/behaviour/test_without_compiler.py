@@ -18,15 +18,20 @@ def test_interpreted_functions_compute_what_the_compiled_ones_do(kind):
     run_python(TOOLS / "golden.py", *RUNS[kind], environment={"NUMBA_DISABLE_JIT": "1"})
 
 
-@pytest.mark.parametrize(
-    ("name", "which"),
-    [
-        ("test_pairs.py", ("-k", "not (resting or solver1 or options1)")),
-        ("test_rolling.py", ("-k", "not (collapses or solver1)")),
-        ("test_driven_bounces.py", ("-m", "slow", "-k", "5-25.0 or (its_way and 25.0)")),
-    ],
-)
-def test_laws_of_materials_and_of_motion_hold_in_interpreted_steps(name, which):
-    """Without large piles and most runs of BatchedPGS. It divides by 0 in lanes that nothing uses."""
-    options = "-q", "-n", "0", "-p", "no:cacheprovider", "-W", "ignore::RuntimeWarning", *which
-    run_python("-m", "pytest", *options, ROOT / "tests" / "behaviour" / name, environment={"NUMBA_DISABLE_JIT": "1"})
+ALONE = {
+    "behaviour/test_pairs.py": "not (resting or solver1 or options1 or passes_through or energy[1 or energy[2)",
+    "behaviour/test_rolling.py": "not (collapses or solver1 or solver2 or solver3 or energy[1)",
+    "behaviour/test_driven_bounces.py": "25.0 and (Batched or PSOR or NNCG or Nesterov)",
+    "behaviour/test_random_scenes.py": "not (4 or 5)",
+    "behaviour/test_cooling_gas.py": "not haffs",
+    "stepping/test_interface.py": "from_outside",
+}
+"""File -> tests whose kinds of steps no other test compiles: without large piles, and without most of BatchedPGS."""
+
+
+def test_kinds_of_steps_that_no_other_test_compiles_work_interpreted():
+    """BatchedPGS divides by 0 in lanes that nothing uses."""
+    which = " or ".join(f"({name.split('/')[1]} and {of})" for name, of in ALONE.items())
+    options = "-q", "-n", "0", "-p", "no:cacheprovider", "-W", "ignore::RuntimeWarning", "-m", "", "-k", which
+    files = (ROOT / "tests" / name for name in ALONE)
+    run_python("-m", "pytest", *options, *files, environment={"NUMBA_DISABLE_JIT": "1"})

@@ -1,7 +1,11 @@
-"""Everything but training, networks on images and bounds works where Keras, TensorFlow and HiGHS cannot be imported."""
+"""Everything but training, networks on images and bounds works where Keras, TensorFlow and HiGHS cannot be imported.
+
+Programs are slow tests, because `tests/tools/check_core.sh` runs them in CI, where these packages are missing indeed.
+"""
 
 from configparser import ConfigParser
 
+import pytest
 from conftest import ROOT, run_python
 
 PROGRAM = """
@@ -54,6 +58,7 @@ print(*(main(words) for words in (
 """
 
 
+@pytest.mark.slow
 def test_what_needs_no_keras_works_without_it_and_what_needs_it_says_so(tmp_path):
     done = run_python("-c", PROGRAM, cwd=tmp_path)
     assert "all of it" in done.stdout
@@ -68,6 +73,7 @@ def test_what_needs_no_keras_works_without_it_and_what_needs_it_says_so(tmp_path
         assert f"{command}: {said}" in done.stderr
 
 
+@pytest.mark.slow
 def test_another_backend_of_keras_is_refused_in_a_line():
     arguments = "-m", "deep_contact", "figure", "4.2", "--quick"
     done = run_python(*arguments, environment={"KERAS_BACKEND": "jax"}, status=4)

@@ -356,6 +356,7 @@ def test_a_killed_run_loses_at_most_the_simulation_it_was_at(generate, undisturb
     assert all((tmp_path / name).stat().st_mtime_ns == written for name, (_, written) in kept.items())
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_it_cleanly(undisturbed, tmp_path):
     assert stopped_after_the_first(tmp_path, signal.SIGINT) == 130
     assert contents(tmp_path).items() <= undisturbed.items()

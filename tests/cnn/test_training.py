@@ -126,6 +126,7 @@ def test_run_of_fixed_rates_can_be_prolonged(data, tmp_path):
     assert without_time(longer.history) == without_time(whole.history)
 
 
+@pytest.mark.slow
 def test_half_precision_learns_alike(data, tmp_path):
     # bfloat16 has 8 binary digits, 0.4 %.
     runs = [quietly(tiny(epochs=1, precision=p), data, tmp_path / p) for p in ("float32", "mixed_bfloat16")]

@@ -221,7 +221,9 @@ else:
 
 @needs_compiler
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no such signal on this system")
-@pytest.mark.parametrize("when", ["compiling", "_save_data", "_save_index"])
+@pytest.mark.parametrize(
+    "when", [pytest.param(when, marks=pytest.mark.slow) for when in ("compiling", "_save_data")] + ["_save_index"]
+)
 def test_a_process_that_is_killed_leaves_a_cache_that_works(tmp_path, when):
     """The code that it was about to keep is compiled by the next process, and read by the one after that."""
     copy_of_the_package(tmp_path)

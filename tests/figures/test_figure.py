@@ -254,7 +254,12 @@ figures.run_as_script(FIGURE, __name__)
 
 @pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
 @pytest.mark.parametrize(
-    ("jobs", "sent", "status"), [("1", signal.SIGINT, 130), ("2", signal.SIGINT, 130), ("2", signal.SIGTERM, 143)]
+    ("jobs", "sent", "status"),
+    [
+        pytest.param("1", signal.SIGINT, 130, marks=pytest.mark.slow),
+        ("2", signal.SIGINT, 130),
+        pytest.param("2", signal.SIGTERM, 143, marks=pytest.mark.slow),
+    ],
 )
 def test_an_interrupt_leaves_no_traceback_no_files_and_no_processes(tmp_path, jobs, sent, status):
     script = tmp_path / "figure_9_3.py"
@@ -318,6 +323,7 @@ def test_all_figures_goes_on_after_a_failure_and_reports_it(toys, tmp_path, capf
     assert [row[3:] for row in summary[1:]] == [["1", "of", "1"], ["0", "of", "1"]]
 
 
+@pytest.mark.slow
 def test_all_figures_runs_only_those_that_are_asked_for(toys, tmp_path, capfd):
     main = load_script("all_figures").main
     assert main(["--only", "9.10,T9.2", "--out", str(tmp_path / "out"), "--quick", "--seed", "4"], toys) == 0

@@ -20,6 +20,7 @@ WAYS = {
     "rebounds": ({"restitution": 0.5}, {"solver": dc.PGS(sweeps=8, substeps=2, most_substeps=8)}),
     "batches": ({"restitution": 0.3}, {"solver": dc.BatchedPGS(sweeps=8, substeps=3)}),
 }
+RARE = "asleep", "frictionless"  # each compiles a kind of step that no other test needs
 SIDES = "floor", "right", "ceiling", "left"
 
 
@@ -35,7 +36,7 @@ def scene(**world):
     return state.replace(bodies=bodies, world=replace(state.world, **shelf))
 
 
-@pytest.mark.parametrize("way", [pytest.param(way, marks=[pytest.mark.slow] * (way == "asleep")) for way in WAYS])
+@pytest.mark.parametrize("way", [pytest.param(way, marks=[pytest.mark.slow] * (way in RARE)) for way in WAYS])
 def test_on_step_gets_what_it_gets_in_a_run_and_changes_no_bit(way):
     world, how = WAYS[way]
     state, expected, seen = scene(**world), [], []
@@ -53,7 +54,7 @@ def test_on_step_gets_what_it_gets_in_a_run_and_changes_no_bit(way):
     assert live.state == dc.simulate(state, steps=60, **how).state
 
 
-@pytest.mark.parametrize("way", [pytest.param(way, marks=[pytest.mark.slow] * (way == "asleep")) for way in WAYS])
+@pytest.mark.parametrize("way", [pytest.param(way, marks=[pytest.mark.slow] * (way in RARE)) for way in WAYS])
 def test_forces_are_those_of_a_run_over_the_same_steps(way):
     """The mean of each part has its own interval: the floor is asked each 10 steps, circle and segment each 20."""
     world, how = WAYS[way]

@@ -152,7 +152,9 @@ def test_a_film_that_ffmpeg_does_not_write_is_an_error_with_its_words(run, tmp_p
 
 
 @posix
-@pytest.mark.parametrize("name", ["fall.gif", "fall.html", "forces.png"])
+@pytest.mark.parametrize(
+    "name", ["fall.html", *(pytest.param(name, marks=pytest.mark.slow) for name in ("fall.gif", "forces.png"))]
+)
 def test_a_full_disk_is_an_error_that_names_the_file(tmp_path, name):
     """A limit of 1 KiB stands for it: the file is refused and nothing is left."""
     program = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1024, 1024)); "

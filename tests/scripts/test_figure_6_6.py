@@ -63,10 +63,10 @@ def test_beyond_a_limit_is_refused_with_quantity_limit_and_value(name):
             dc.solve_contacts(with_value(name, low / 2))
 
 
-SLOW = "world.segment_velocities"  # it compiles a kind of its own
+SLOW = "world.segment_velocities", "world.rolling_friction"  # each compiles a kind of its own
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == SLOW)) for name in LIMITS])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in LIMITS])
 def test_at_a_limit_all_stays_finite_and_is_accepted_again(name):
     for value in LIMITS[name][:2]:
         if (value < 0 and name.endswith(("box", "normal_impulse"))) or value == 0:

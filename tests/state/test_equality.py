@@ -13,14 +13,36 @@ from deep_contact.analysis.lcp import contact_problem
 from deep_contact.measure.errors import observe
 from deep_contact.measure.trade import load_trade
 from deep_contact.state.equality import same
+from deep_contact.stepping.problem import step_problem
 
 SCENE = dc.column(3)
+TABLES = {
+    "friction": [[0.3, 0.1], [0.1, 0.5]], "restitution": [[0.0, 0.2], [0.2, 0.1]],
+    "rolling_friction": [[0.0, 0.05], [0.05, 0.1]], "touches": [[True, True], [True, False]],
+    "wall_materials": [1, 0, 0, 0], "segment_materials": [1], "segments": [((0.0, 20.0), (4.0, 22.0))],
+}  # fmt: skip
 RUN = dc.simulate(SCENE, steps=20, record=1, forces=True)
+
+
+def of_materials(**changed):
+    """A scene of two materials in a world with all tables."""
+    bodies = SCENE.bodies._replace(material=np.array([0, 1, 1]))
+    return dc.find_contacts(SCENE.replace(world=dc.World(**TABLES | changed), bodies=bodies))
+
+
+def seen():
+    """The solved state of the last step of a live run."""
+    live = dc.Simulator(SCENE, forces=True)
+    live.step(20)
+    return live.solved
 
 
 def results():
     """Name -> a function that makes a result anew."""
     return {
+        "state with materials": of_materials,
+        "state of live.solved": seen,
+        "StepProblem": lambda: step_problem(RUN.state),
         "State": lambda: dc.simulate(SCENE, steps=20).state,
         "Bodies": lambda: dc.column(3).bodies,
         "Contacts": lambda: dc.simulate(SCENE, steps=20).state.contacts,
@@ -47,25 +69,28 @@ def result(name):
     return results()[name]()
 
 
-def altered(value):
-    """Copies of a value, each with one number of one array changed, as far down as there are arrays."""
+def altered(value, number=None):
+    """Copies of a value, each with one number of one array changed, as far down as there are arrays.
+
+    number: what it is changed to, in arrays of floats alone; by default to 0 or 1.
+    """
     if isinstance(value, np.ndarray):
-        if value.size and value.dtype.kind in "iuf":
+        if value.size and value.dtype.kind in ("iuf" if number is None else "f") and not np.isnan(value.flat[-1]):
             other = value.copy()
-            other.flat[-1] = other.flat[-1] == 0
+            other.flat[-1] = other.flat[-1] == 0 if number is None else number
             yield other
     elif isinstance(value, dict):
-        yield from ({**value, key: other} for key, item in value.items() for other in altered(item))
+        yield from ({**value, key: other} for key, item in value.items() for other in altered(item, number))
     elif isinstance(value, list):
-        yield from (list(other) for other in altered(tuple(value)))
+        yield from (list(other) for other in altered(tuple(value), number))
     elif isinstance(value, tuple):
         for k, item in enumerate(value):
-            for other in altered(item):
+            for other in altered(item, number):
                 parts = (*value[:k], other, *value[k + 1 :])
                 yield type(value)(*parts) if hasattr(value, "_fields") else parts
     elif is_dataclass(value):
         for field in fields(value):
-            for other in altered(getattr(value, field.name)) if field.compare else ():
+            for other in altered(getattr(value, field.name), number) if field.compare else ():
                 changed = copy.copy(value)
                 vars(changed)[field.name] = other
                 yield changed
@@ -85,13 +110,46 @@ def test_a_result_equals_what_is_made_anew_and_a_copy_and_nothing_else(name):
         assert (first != other) is True
 
 
-@pytest.mark.parametrize("name", sorted({*results()} - {"World", "Recommendation", "Plan", "LearnedModel"}))
+WITH_ARRAYS = sorted({*results()} - {"World", "Recommendation", "Plan", "LearnedModel"})
+
+
+@pytest.mark.parametrize("name", WITH_ARRAYS)
 def test_one_number_of_one_array_makes_a_result_another(name):
     others = list(altered(result(name)))
     assert len(others) >= (1 if name == "ConvergenceRecord" else 2)
     for other in others:
         assert (result(name) == other) is False
         assert result(name) not in [other]
+
+
+@pytest.mark.parametrize("name", WITH_ARRAYS)
+def test_nan_in_any_array_equals_nan_there_alone(name):
+    first = result(name)
+    pairs = list(zip(altered(first, np.nan), altered(first, np.nan)))
+    assert pairs
+    for one, other in pairs:
+        assert (one == other) is True
+        assert one in [None, other]
+        assert (one == first) is False
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_worlds_differ_if_one_element_of_a_table_does(name):
+    other = np.array(TABLES[name])
+    if other.dtype == bool:
+        other = ~other
+    else:
+        other.flat[0] = other.flat[0] == 0
+    world = of_materials().world
+    assert world == of_materials().world
+    assert world in [None, pickle.loads(pickle.dumps(world))]
+    assert world not in [of_materials(**{name: other}).world]
+
+
+def test_a_live_run_equals_itself_alone():
+    live = dc.Simulator(SCENE)
+    assert live in [None, live]
+    assert live not in [dc.Simulator(SCENE)]
 
 
 def test_one_weight_makes_a_network_of_keras_another():

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from deep_contact.state.constants import WALL_SKIN
 from deep_contact.stepping.broad_phase import TOUCHING, make_cells, sort_into_cells
-from deep_contact.stepping.contacts import Walls, carry_impulses, detect_contacts, make_contacts
+from deep_contact.stepping.contacts import Exclusions, Walls, carry_impulses, detect_contacts, make_contacts
 from deep_contact.stepping.problem import contacts_of
 
 
@@ -18,7 +18,8 @@ def pairs_of(contacts):
 
 def search(position, radius, box, cells, skin=0.01):
     """`find_contacts` in a box without segments."""
-    return detect_contacts(position, radius, None, Walls(box, skin), None, None, cells, make_contacts(4000))
+    nothing = Exclusions(mass=None, touches=None)
+    return detect_contacts(position, radius, Walls(box, skin), None, nothing, cells, make_contacts(4000))
 
 
 def brute_force_pairs(state):

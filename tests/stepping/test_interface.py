@@ -19,6 +19,7 @@ def Twice():
     return load_script("own_solver").Twice
 
 
+@pytest.mark.slow  # a kind of step of its own; test_without_compiler.py runs it interpreted
 def test_a_solver_from_outside_runs_sleeps_solves_and_is_written_to_files(Twice, tmp_path):
     scene = dc.circles_in_box(20, size=12.0, seed=1)
     toy = dc.simulate(scene, steps=200, solver=Twice(), sleep=True)

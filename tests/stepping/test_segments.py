@@ -43,7 +43,7 @@ def distances(line, points):
 GRIDS = {
     "terrain": (lambda rng: np.cumsum(rng.uniform(-1.0, 1.5, (301, 2)), axis=0), 1.01),
     "long ones": (lambda rng: rng.uniform(-1000.0, 1000.0, (41, 2)), 0.3),
-    "thousands in a cell": (lambda rng: rng.uniform(0.0, 1.0, (2001, 2)), 20.0),
+    "hundreds in a cell": (lambda rng: rng.uniform(0.0, 1.0, (501, 2)), 20.0),
     "far apart": (lambda rng: np.array([[0.0, 0.0], [1e-3, 0.0], [1e9, 5.0], [1e9, 7.0]]), 1e-3),
     "one level": (lambda rng: np.column_stack([rng.uniform(0.0, 50.0, 101), np.full(101, 3.0)]), 0.5),
 }

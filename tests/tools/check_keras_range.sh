@@ -31,7 +31,8 @@ for end; do
         DEEP_CONTACT_PYTHON="${given:-python3}"
     fi
     export PIP_CONSTRAINT="$folder/$end.txt" DEEP_CONTACT_VENV="$folder/$end"
-    ensure_venv "[test]"
+    ensure_venv ""
+    "$PYTHON" -m pip install --quiet --no-compile --disable-pip-version-check pytest pytest-timeout
     "$PYTHON" -m pip list 2> /dev/null | grep -E '^(keras|tensorflow|numpy|numba|h5py) '
     "$PYTHON" -m pytest tests/cnn/test_stored_predictions.py tests/cnn/test_inference.py tests/cnn/test_convolution.py
 done

@@ -4,7 +4,7 @@ const vm = require("vm");
 
 const FIRST = {
   "api/make_a_scene.html": ["gravity", "density"],
-  "materials.html": ["friction"],
+  "materials.html": ["friction", "rolling", "material", "filter", "sensor"],
   "moving.html": ["moving wall", "piston", "conveyor", "kinematic"],
   "recipes.html": ["callback", "video"],
   "forces.html": ["force", "energy"],

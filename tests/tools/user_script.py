@@ -15,6 +15,21 @@ def scene(count: int = 5, *, friction: float = 0.3) -> State:
     return State(name="mine", world=world, bodies=make_bodies(np.column_stack([x, np.full(count, 5.0)]), radius=0.5))
 
 
+def silo() -> State:
+    rough = [[0.4, 0.0], [0.0, 0.4]]
+    walls = World(
+        friction=np.array(rough),
+        restitution=0.1,
+        rolling_friction=[[0.05, 0.0], [0.0, 0.0]],
+        touches=[[True, True], [True, False]],
+        wall_materials=[0, 1, 0, 1],
+        segments=[((0, 6), (10, 6))],
+        segment_materials=(1,),
+    )
+    grains = make_bodies([[3.0, 9.0], [6.0, 9.0]], radius=[0.4, 0.5], material=[0, 1], fixed=[False, True])
+    return State(name="silo", world=walls, bodies=grains)
+
+
 def watch(state: State, record: object) -> None:
     print(state.time, record)
 
@@ -41,6 +56,13 @@ live.step(10)
 seen = dc.Simulator(state, forces=True, on_step=watch)
 seen.step(5)
 print(seen.force_on("floor") + seen.force_on("circle", [0, 1]), dc.forces(seen.solved).torque)
+turned = dc.Simulator(silo(), on_step=lambda state, record: print(state.solved, record.shifts))
+turned.set(fixed_velocities=(0.1, 0.0), fixed_spins=1.0, rolling_friction=0.02, push=np.zeros((2, 2)))
+turned.step()
+solved: State = turned.solved
+print(solved == turned.solved, solved in [turned.solved], solved.bodies.material, silo().world.materials)
+table: dict[str, np.ndarray] = solved.bodies.table()
+print(table["material"], run.trajectory.table()["time"], dc.contact_table(solved)["b"], run.trajectory.dissipated.sum())
 added = live.add(dc.make_bodies([[5.0, 9.0]], radius=0.2))
 print(
     live.positions[added],

@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 class TrainingConfig:
     """Settings of a training run.
 
-    The defaults are for the far-field network. `recipe` also has the settings of the thesis's network.
-    The loss of the far-field network is computed through the solver. It is the velocity error after some sweeps,
-    relative to the error after as many sweeps from Builtin's start, the impulses of the step before. It is averaged
-    over the numbers of sweeps in `sweeps`. The loss of the thesis's network is the
-    masked squared error of the image (Appendix B). Raises ValueError naming the field and the value.
+    The defaults are for the far-field network. `recipe` also has the settings of the thesis's network. The loss of the
+    far-field network is computed through the solver. It is the velocity error after some sweeps, relative to the error
+    after the same number of sweeps from Builtin's start, the impulses of the step before. It is averaged over the
+    numbers of sweeps in `sweeps`. The loss of the thesis's network is the masked squared error of the image (Appendix
+    B). Raises ValueError naming the field and the value.
     """
 
     architecture: str = "far field"  # or "thesis"

@@ -198,10 +198,11 @@ class ImageRun(NetworkRun):
         self.model.compile(self.optimizer, loss=masked_squared_error, metrics=metrics, jit_compile=False)
 
     def _images(self, states: np.ndarray, count: int):
-        """Yield `count` batches of images.
+        """Yield the first `count` batches of some states, in order, as pairs (input images, label images).
 
-        states: pairs (simulation, index of the state), (k, 2). A batch is a tuple of inputs, (b, n_y, n_x, c), and
-        labels, (b, n_y · n_x · t), float32, with c channels and t target maps.
+        states: pairs (simulation, index of the state), (k, 2). A batch has b = `config.batch_size` states; the last
+        batch may have fewer. Input images are (b, n_y, n_x, c) with c channels. Label images are flat, (b, n_y · n_x ·
+        t), with t target maps. Both are float32.
         """
         size = self.config.batch_size
         for k in range(count):

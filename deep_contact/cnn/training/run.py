@@ -41,9 +41,11 @@ from deep_contact.cnn.model_file import read_metadata, save_model
 from deep_contact.cnn.training.config import TrainingConfig
 from deep_contact.cnn.training.far_field_run import FarFieldRun
 from deep_contact.cnn.training.network import ImageRun
+from deep_contact.state.equality import by_value
 from deep_contact.stepping.problem import step_problem
 
 
+@by_value
 class Training(NamedTuple):
     """The result of a finished run.
 
