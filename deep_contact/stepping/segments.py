@@ -329,26 +329,28 @@ def touched(contacts, a, b):
 def time_to_touch(segment, x, y, m_x, m_y, least):
     """Return (time, part): the time at which a point first comes within `least`, m, of a segment, and the nearest part.
 
-    The point moves by (m_x, m_y), m. The time is a share of this motion, or infinity. part: the part of the segment
-    that is nearest at this time, `BESIDE`, `START` or `END`.
+    The point moves by (m_x, m_y), m. The time is a share of this motion, or infinity if the point is nearer already. If
+    the distance is `least` to rounding, and decreases, the time is 0. part: the part of the segment that is nearest at
+    this time, `BESIDE`, `START` or `END`.
     """
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
-    length = math.sqrt(e_x * e_x + e_y * e_y)
+    length, nearer = math.sqrt(e_x * e_x + e_y * e_y), (1.0 - _ROUNDING) * least
     gap = (e_x * (y - segment[1]) - e_y * (x - segment[0])) / length
     speed = (e_y * m_x - e_x * m_y) / length
     if gap < 0.0:
         gap, speed = -gap, -speed
     first, part = math.inf, BESIDE
-    if gap >= least and speed > 0.0:
-        time = (gap - least) / speed
+    if gap >= nearer and speed > 0.0:
+        time = max(0.0, gap - least) / speed
         if nearest_part(segment, x + time * m_x, y + time * m_y) == BESIDE:
             first = time
     for end in (START, END):
         column = 0 if end == START else 2
         d_x, d_y = x - segment[column], y - segment[column + 1]
-        approach, beyond = d_x * m_x + d_y * m_y, d_x * d_x + d_y * d_y - least * least
+        approach, square = d_x * m_x + d_y * m_y, d_x * d_x + d_y * d_y
+        beyond = max(0.0, square - least * least)
         under = approach * approach - (m_x * m_x + m_y * m_y) * beyond
-        if approach < 0.0 and beyond >= 0.0 and under >= 0.0:
+        if approach < 0.0 and square >= nearer * nearer and under >= 0.0:
             time = beyond / (math.sqrt(under) - approach)
             if time < first:
                 first, part = time, end

@@ -636,3 +636,17 @@ def test_a_fast_circle_that_slides_into_a_wedge_stops_where_it_touches_both_side
     state = scene([[20.0, 1.5]] @ turn, [[-3000.0, -100.0]] @ turn, world=replace(EMPTY, segments=lines))
     after = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position @ turn.T
     np.testing.assert_allclose(after, [[1.0075 * np.sqrt(3.0), 1.0075]], atol=1e-9)
+
+
+@pytest.mark.parametrize("angle", np.linspace(0.1, 6.2, 24))
+@pytest.mark.parametrize("place", ["beside", "end"])
+def test_a_circle_that_lies_on_a_segment_is_held_by_it_when_a_fast_circle_hits_it(place, angle):
+    """4 mm deep, more than at a touch. The rounding of its distance does not decide whether the segment holds it."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+    out = np.array([-along[1], along[0]])
+    if place == "end":
+        out, along = along, -out
+    line = [-9.0 * out, 0.0 * out] if place == "end" else [-5.0 * along, 4.0 * along]
+    state = scene([1.006 * out, 4.3 * out], [0.0 * out, -300.0 * out], world=replace(EMPTY, segments=[line]))
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state.bodies.position
+    np.testing.assert_allclose(after @ out, [1.006, 1.006 + 1.9975], atol=1e-9)
