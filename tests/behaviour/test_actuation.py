@@ -353,7 +353,7 @@ def test_what_is_no_push_is_refused(push, message):
 def test_velocities_of_other_segments_and_flags_of_other_circles_are_refused():
     with pytest.raises(ValueError, match="segment_velocities: expected those of both ends of 1 segments"):
         dc.World(segments=[((0, 0), (1, 0))], segment_velocities=[((1, 0), (1, 0))] * 2)
-    with pytest.raises(ValueError, match="fixed: expected 2 flags"):
+    with pytest.raises(ValueError, match="fixed: expected True or False for all circles, or for each of the 2"):
         dc.make_bodies([[0.0, 1.0], [3.0, 1.0]], fixed=[True])
 
 

@@ -34,7 +34,7 @@ def test_differences_are_seen():
     assert tool.difference(one, one) == ""
     assert tool.difference(one, one.replace(bodies=other)) == "bodies.spin"
     assert tool.difference(one, one.replace(world=replace(one.world, friction=0.4))) == "world"
-    cold, hot = (one.replace(bodies=one.bodies._replace(velocity=one.bodies.velocity + v)) for v in (0.0, 1.0))
+    cold, hot = (one.replace(bodies=one.bodies._replace(velocity=one.bodies.velocity + v)) for v in (0.0, 5.0))
     made = type("Run", (), {"trajectory": dc.Trajectory.from_states([cold, hot])})
     assert tool.gained(made, one) > 0.1
 
