@@ -60,8 +60,9 @@ PRESETS: dict[str, dict[str, float]] = {
 }  # fmt: skip
 """Name of a preset -> tolerance of each error, in %; "contacts" is in contacts per circle.
 
-In an impact at a step of 10 ms, the largest penetration does not depend on the number of sweeps; "preview" tolerates
-it. From "preview" to "accurate" the tolerance of forces is loose, because in frictionless piles the slop closes gaps.
+At a step of 10 ms, the deepest penetration of an impact does not depend on the number of sweeps. The tolerance of
+"preview" allows such a step. In piles without friction the slop closes gaps, which changes the distribution of forces.
+The tolerances of forces from "preview" to "accurate" allow this change.
 """
 
 MARGIN = 0.85

@@ -67,8 +67,8 @@ FAIR = 12
 """Largest number of pivots of a fair step. After a fair step that is not easy, ε is halved."""
 
 MOST_PIVOTS = 120
-"""Largest number of pivots and factorisations in a step. A longer step is abandoned, because a step with a larger ε is
-cheaper than a long path."""
+"""Largest number of pivots and factorisations in a step. A step that needs more is abandoned. The next step has a
+larger ε, and so a shorter path, which costs less."""
 
 MOST_IDLE = 30
 """Number of easy steps in a row without a smaller residual, after which the solve restarts: it does sweeps, and sets ε
