@@ -827,10 +827,6 @@ GIVEN: dict[str, list[str]] = {
         *("0.01 s for r = 1 m", "takes 2.6 GB", "takes 0.6 GB"),
         *("about 1 ms of its own", "a scene took 10 ms", "a task of 10 s"),
     ],
-    "materials.md": [
-        *("μ = 0.5. In experiments", "the run-out is 1.2 a for", "a < 1.8, and 1.9 a^(2/3) for a > 2.8"),
-        "4.8 at a = 4 and 7.6 at a = 8",
-    ],
     "moving.md": ["at most 0.001 √(g r)", "discs of 1 m under 9.81 m/s² at Δt = 0.01 s", "may move by 0.01"],
     "other_starts.md": ["Δt = 0.01 s", "1.75 | 1.45", "ω = 1.75 for the normal and 1.45 for", "d = h = 0.5 m"],
     "recipes.md": ["speeds from 0.1 to 10"],

@@ -311,53 +311,9 @@ def errata(kind: str) -> list[list]:
     return [list(found[0]), *(list(fault.values()) for fault in found)]
 
 
-def law(name: str) -> list[dict]:
-    """What `tests/tools/material_laws.py` found on a law."""
-    return stored("material_laws")["laws"][name]["rows"]
-
-
-def silos() -> list[list]:
-    """Janssen's K by the walls and the height of a silo, the mean of its seeds."""
-    found = {}
-    for row in law("janssen"):
-        found.setdefault((row["walls"], row["friction"]), {}).setdefault(
-            row["height"], []
-        ).append(row["K"])
-    heights = list(next(iter(found.values())))
-    rows = [
-        [
-            "walls",
-            *(f"{height} diameters" for height in heights),
-            "largest over smallest",
-        ]
-    ]
-    for (walls, friction), of in found.items():
-        if list(of) != heights:
-            continue  # not all heights were done
-        means = [sum(ks) / len(ks) for ks in of.values()]
-        name = "glued discs" if walls == "glued" else f"a material, μ = {friction:g}"
-        rows.append(
-            [name, *(f"{k:.2f}" for k in means), f"{max(means) / min(means):.2f}"]
-        )
-    return rows
-
-
-def collapses() -> list[list]:
-    """Run-out (L∞ − L₀) / L₀ of columns by aspect ratio and rolling resistance."""
-    found = {}
-    for row in law("collapse"):
-        found.setdefault(row["rho"], {}).setdefault(row["aspect"], []).append(row["run-out"])
-    aspects = max(map(list, found.values()), key=len)
-    rows = [["ρ over the mean radius", *(f"a = {aspect:g}" for aspect in aspects)]]
-    for rho, of in found.items():
-        means = {aspect: sum(values) / len(values) for aspect, values in of.items()}
-        rows.append([f"{rho / 0.45:.1f}", *(f"{means[a]:.2f}" if a in means else None for a in aspects)])
-    return rows
-
-
 _MADE = (
     *(engine, live, first_calls, compiling, noticed, presets, units, costs, each_rival, rivals, rivals_short, kinds, missed),
-    *(figures, sph_start, elements, silos, collapses),
+    *(figures, sph_start, elements),
 )
 
 TABLES = {table.__name__.replace("_", " "): table for table in _MADE} | {

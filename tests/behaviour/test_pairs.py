@@ -7,7 +7,7 @@ from itertools import product
 import numba
 import numpy as np
 import pytest
-from conftest import assert_same_bits, circles_at
+from conftest import assert_same_bits, circles_at, load_script
 
 import deep_contact as dc
 from deep_contact.analysis.lcp import contact_problem, natural_residual
@@ -114,17 +114,7 @@ def mixed(seed, materials=3, **world):
     return scene.replace(bodies=bodies, world=dc.World(box=box, **table | world), contacts=None)
 
 
-def relabelled(state, order):
-    """The scene with other numbers for its materials: material p becomes order[p]."""
-    order, world = np.asarray(order), state.world
-    back = np.argsort(order)
-    tables = {name: np.array(getattr(world, name)) for name in ("friction", "restitution", "touches")}
-    tables = {name: table[np.ix_(back, back)] if table.ndim else table.item() for name, table in tables.items()}
-    of_segments = world.segment_materials or np.zeros(len(world.segments), int)  # () stands for 0
-    found = {"wall_materials": world.wall_materials, "segment_materials": of_segments}
-    materials = {name: order[np.array(values, int)] for name, values in found.items()}
-    bodies = state.bodies._replace(material=order[state.bodies.material])
-    return state.replace(world=replace(world, **tables, **materials), bodies=bodies)
+relabelled = load_script("random_scenes").relabelled
 
 
 SETTINGS = [
