@@ -36,7 +36,7 @@ from deep_contact.figures import Claim, Figure
 from deep_contact.io.provenance import commit
 from deep_contact.measure import peers
 from deep_contact.measure.errors import REST, errors, observe
-from deep_contact.measure.setting_runs import states_of
+from deep_contact.measure.watched import readings_of
 from deep_contact.plot import plotting
 from deep_contact.scenes import lattice_in_box
 from deep_contact.solvers import NNCG, PGS, PSOR, BatchedPGS, NesterovPGS
@@ -242,7 +242,7 @@ def energy_changes(
     def ensemble(split):
         scenes = (piles.pile_scene(n_bodies, seed) for seed in seeds)
         each = ((scene, {**setting, "dt": scene.dt / split}) for scene in scenes)
-        return [observe(states_of(scene, one, frames, runs.INTERVAL)) for scene, one in each]
+        return [observe(readings_of(scene, one, frames, runs.INTERVAL)) for scene, one in each]
 
     try:
         finest = ensemble(FINEST)

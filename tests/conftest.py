@@ -15,7 +15,7 @@ from scipy import optimize
 
 import deep_contact as dc
 from deep_contact.analysis.lcp import contact_problem
-from deep_contact.measure.errors import Observation
+from deep_contact.measure.errors import Observation, Reading
 from deep_contact.studies.starts import solved_states
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -89,8 +89,18 @@ def observation(
 
     depth = np.repeat(curve(penetration)[:, None], 3, axis=1)
     own = {name: curve(value) for name, value in (quantities or {}).items()}
-    flat = curve(kinetic), curve(height), curve(speed), depth, curve(contacts), np.ones(count - 1)
+    flat = curve(kinetic), curve(height), curve(speed), depth, curve(contacts), np.ones(count)
     return Observation(*flat, loads, 0.1, own)
+
+
+def readings(states):
+    """Readings of states that nothing has watched: a step is the time between two, and the first is as the second."""
+    states = list(states)
+    shares = (state.bodies.free_mass / state.bodies.free_mass.sum() for state in states)
+    centres = np.array([share @ state.bodies.velocity for share, state in zip(shares, states)])
+    before = np.vstack([2.0 * centres[0] - centres[1], centres]) if len(states) > 1 else centres[[0, 0]]
+    step = states[1].time - states[0].time if len(states) > 1 else 1.0
+    return [Reading(state, 0.0, before[k : k + 2], step) for k, state in enumerate(states)]
 
 
 @pytest.fixture(scope="session")

@@ -43,20 +43,47 @@ ERRORS = {
     "creep": "change of the settled height: difference of speeds, % of √(g r)",
     "penetration": "penetration at rest, mean over contacts, % of r",
     "penetration_95": "penetration at rest, 95th percentile over contacts, % of r",
-    "penetration_max": "deepest penetration at any time, mean over seeds, % of r",
+    "penetration_max": "deepest penetration after any step, mean over seeds, % of r",
     "restlessness": "rms speed at rest above the reference's, % of √(g r)",
     "contacts": "contacts per circle at rest, gap below 0.1 % of r: difference",
     "forces": "distribution of λ_n / mean λ_n at rest: Kolmogorov-Smirnov distance, %",
-    "impact": "largest force on the box in an interval: difference, % of the reference's",
+    "impact": "largest mean force on the box over an interval: difference, % of the reference's",
 }
 """Name of an error -> its definition and unit. ⟨ ⟩ is the mean over seeds, * marks the reference.
 
 Penetrations are errors in themselves, since they should be 0. All other errors are differences from the reference.
 Energy, height and force are those of the whole pile. The force follows from the pile's momentum: M (g + dv / dt), where
 v is the velocity of its centre of mass against gravity. It is divided by the weight, so that its mean at rest is
-exactly 1. The distribution of forces is the classical characteristic of a granular packing (Radjai et al., Phys. Rev.
+exactly 1.
+
+Two errors are extremes over a run. Penetration is read after each step of an engine, also after each substep of ours,
+so that a setting with a small step is read more often. A force cannot be read like this: a force that stops a circle
+within one step is the momentum over that step, so that it grows without limit as the step shrinks. So forces are means
+over windows of one length for all settings and engines: the time between two observations. A window begins at every
+multiple of the scene's Δt.
+
+The distribution of forces is the classical characteristic of a granular packing (Radjai et al., Phys. Rev.
 Lett. 77, 1996). Users judge an engine by penetration and restlessness (Catto, Solver2D, 2024).
 """
+
+
+class Reading(NamedTuple):
+    """A state of a run, and what a watch has seen since the reading before, or since the start of the run.
+
+    | field    | meaning                                                                             | shape    | unit |
+    |----------|-------------------------------------------------------------------------------------|----------|------|
+    | state    | state with contacts                                                                 |          |      |
+    | deepest  | deepest penetration, from the reading before to this one, after any step, or        | ()       | m    |
+    |          | substep of ours                                                                     |          |      |
+    | velocity | velocity of the centre of mass of the free circles, at the reading before and after | (k+1, 2) | m/s  |
+    |          | each of k steps since then                                                          |          |      |
+    | step     | duration of one of these steps                                                      | ()       | s    |
+    """
+
+    state: State
+    deepest: float
+    velocity: np.ndarray
+    step: float
 
 
 @by_value
@@ -68,9 +95,10 @@ class Observation(NamedTuple):
     | kinetic     | kinetic energy                                                                | (T,)     | M u²    |
     | height      | height of the centre of mass above the lowest corner of the box               | (T,)     | r       |
     | speed       | root mean square speed of the circles                                         | (T,)     | u       |
-    | penetration | mean, 95th percentile and largest over the contacts                           | (T, 3)   | r       |
+    | penetration | mean and 95th percentile over the contacts; deepest since the time before     | (T, 3)   | r       |
     | contacts    | number of pairs whose gap is at most `TOUCHING`, per circle                   | (T,)     | –       |
-    | force       | mean force on the box along gravity between successive times; None if g = 0   | (T − 1,) | M g     |
+    | force       | largest mean force on the box along gravity over an interval that ends since  | (T,)     | M g     |
+    |             | the time before; None if g = 0                                                |          |         |
     | loads       | share of the λ_n > 0 at rest that are at most LOADS times their mean; or None | (121,)   | –       |
     | interval    | time between two observations                                                 | ()       | r / u   |
     | quantities  | name -> values of a user's quantity, or a sentence on why it has none         | (T, …)   | its own |
@@ -98,17 +126,17 @@ def observation(stored: Mapping) -> Observation:
 
 
 def observe(
-    states: Iterable[State], quantities: Mapping[str, Callable[[State], object]] = MappingProxyType({})
+    readings: Iterable[Reading], quantities: Mapping[str, Callable[[State], object]] = MappingProxyType({})
 ) -> Observation:
-    """Return the `Observation` of a run from its states, such as a `Trajectory`.
+    """Return the `Observation` of a run from its readings.
 
-    states: states with contacts, at equally spaced times. quantities: name -> function of a state that returns a number
-    or an array. The impulses of a state are those that it carries from the step before. Raises ValueError with fewer
-    than `REST` states, and if there is neither gravity nor motion.
+    readings: readings at equally spaced times (`watched.readings_of`). quantities: name -> function of a state that
+    returns a number or an array. The impulses of a state are those that it carries from the step before. Raises
+    ValueError with fewer than `REST` readings, and if there is neither gravity nor motion.
     """
-    rows, momentum, loads, times, unit = [], [], [], [], None
+    rows, forces, loads, times, unit, rising = [], [], [], [], None, np.empty(0)
     own: dict[str, list | str] = {name: [] for name in quantities}
-    for state in states:
+    for state, deepest, velocity, step in readings:
         own = {name: with_next(name, quantity, state, own[name]) for name, quantity in quantities.items()}
         bodies = state.bodies._replace(mass=state.bodies.free_mass)
         g, r, mass = float(np.hypot(*state.world.gravity)), float(bodies.radius.mean()), float(bodies.mass.sum())
@@ -116,23 +144,26 @@ def observe(
         squares = (bodies.velocity**2).sum(axis=1)
         unit = unit or math.sqrt(g * r) or math.sqrt(squares.max()) / FASTEST
         if unit == 0:
-            raise ValueError("states: expected gravity or motion, by which errors of a run are scaled, got none")
+            raise ValueError("readings: expected gravity or motion, by which errors of a run are scaled, got none")
         kinetic = 0.5 * (bodies.mass @ squares + bodies.inertia @ bodies.spin**2) / (mass * unit**2)
         height = (bodies.mass @ bodies.position @ up / mass - np.minimum(up * low, up * high).sum()) / r
         speed = np.sqrt(squares.mean()) / unit
         depth = np.maximum(0.0, -state.contacts.separation) / r
-        deep = (depth.mean(), np.percentile(depth, 95), depth.max()) if depth.size else (0.0, 0.0, 0.0)
+        deep = (depth.mean(), np.percentile(depth, 95)) if depth.size else (0.0, 0.0)
         touching = np.count_nonzero(state.contacts.separation <= TOUCHING * r) / bodies.count
-        rows.append((kinetic, height, speed, *deep, touching))
-        momentum.append(bodies.mass @ bodies.velocity @ up / mass / unit)
+        rows.append((kinetic, height, speed, *deep, max(deepest / r, depth.max(initial=0.0)), touching))
+        if g:
+            rising, steps = np.concatenate([rising[:-1], velocity @ up]), len(velocity) - 1
+            forces.append(1.0 + (rising[steps:] - rising[:-steps]).max() / (g * steps * step))
+            rising = rising[-steps:]
         impulses = state.contacts.normal_start
         loads.append(impulses[impulses > 0])
         times.append(state.time * unit / r)
     if len(rows) < REST:
-        raise ValueError(f"states: expected at least {REST}, got {len(rows)}")
+        raise ValueError(f"readings: expected at least {REST}, got {len(rows)}")
     table = np.array(rows)
     interval = (times[-1] - times[0]) / (len(times) - 1)
-    force = 1.0 + np.diff(momentum) / interval if g else None
+    force = np.array(forces) if g else None
     at_rest = np.concatenate([found / found.mean() for found in loads[-REST:] if found.size] or [np.empty(0)])
     known = np.searchsorted(np.sort(at_rest), LOADS, side="right") / at_rest.size if at_rest.size else None
     values = {name: seen if isinstance(seen, str) else np.array(seen) for name, seen in own.items()}

@@ -30,6 +30,7 @@ from deep_contact.measure.errors import ERRORS, REST, Observation, errors, obser
 from deep_contact.measure.setting_runs import Run, noise_of, rivals, row_of, states_of, timed
 from deep_contact.measure.settings import ladder, name_of, reference_of, setting_of, settings_of_presets
 from deep_contact.measure.trade import REFERENCE, SHOWN, Trade, _percent, _text
+from deep_contact.measure.watched import readings_of
 from deep_contact.parallel import progress_bar
 from deep_contact.state.scales import mean
 from deep_contact.state.state import State
@@ -163,7 +164,7 @@ def _task(task: tuple) -> tuple[float | None, Observation] | str:
     start, setting, frames, interval, quantities, is_timed = task
     try:
         seconds = timed(start, setting, frames * interval) if is_timed else None
-        return seconds, observe(states_of(start, setting, frames, interval), quantities)
+        return seconds, observe(readings_of(start, setting, frames, interval), quantities)
     except (FloatingPointError, ValueError) as error:
         return str(error)
 

@@ -74,6 +74,18 @@ class _Peer:
         position, velocity = (np.array([tuple(xy) for xy in column]).reshape(-1, 2) for column in columns[:2])
         return check_bodies(Bodies(position, velocity, *map(np.array, columns[2:]), self._state.bodies.radius))
 
+    def positions(self) -> np.ndarray:
+        """Return the present centres of the circles, (n, 2), m, without any check."""
+        return self._vectors(self._fields[0])
+
+    def velocities(self) -> np.ndarray:
+        """Return the present velocities of the circles, (n, 2), m/s, without any check."""
+        return self._vectors(self._fields[1])
+
+    def _vectors(self, name: str) -> np.ndarray:
+        vectors = [getattr(body, name) for body in self._bodies]
+        return np.array([(x, y) for x, y in vectors]).reshape(-1, 2)
+
     def contact_count(self) -> int:
         """Return the number of contacts at the present positions, with gaps of at most `reach`.
 
@@ -138,6 +150,8 @@ class Pymunk(_Peer):
 
     name = package = "pymunk"
     _fields = ("position", "velocity", "angle", "angular_velocity", "mass")
+    _ids: np.ndarray | None = None
+    """Chipmunk's number of each circle, (n,); None before the first reading."""
 
     def __init__(self, state: State, *, threads: int = 1, slop: float = 1.0, bias: float = constants.BAUMGARTE):
         super().__init__(state)
@@ -160,6 +174,19 @@ class Pymunk(_Peer):
             body.position, body.velocity, body.angle, body.angular_velocity = position, velocity, angle, spin
             self._add(pymunk.Circle(body, radius), body)
             self._bodies.append(body)
+
+    def _vectors(self, name: str) -> np.ndarray:
+        """Return a vector of every circle, (n, 2), by one call into Chipmunk. name: "position" or "velocity"."""
+        batch = importlib.import_module("pymunk.batch")
+        if self._ids is None:
+            self._numbers, self._ids = batch.Buffer(), np.array([body.id for body in self._bodies], np.uintp)
+        self._numbers.clear()
+        fields = batch.BodyFields.BODY_ID | batch.BodyFields[name.upper()]
+        batch.get_space_bodies(self.space, fields, self._numbers)
+        ids = np.frombuffer(self._numbers.int_buf(), np.uintp)
+        vectors = np.frombuffer(self._numbers.float_buf(), np.float64).reshape(-1, 2)
+        order = np.argsort(ids)  # Chipmunk has the walls' body too
+        return vectors[order[np.searchsorted(ids[order], self._ids)]]
 
     def _add(self, shape, *body) -> None:
         shape.friction, shape.elasticity = self._material
@@ -208,6 +235,14 @@ class Box2D3(_Peer):
     def step(self, dt: float, sweeps: int, position_sweeps: int = 0) -> None:
         """Do one step of `dt`, s, with `sweeps` substeps."""
         self.world.step(dt, sweeps)
+
+    def positions(self) -> np.ndarray:
+        """Return the present centres of the circles, (n, 2), m, without any check."""
+        return self._batch.get_positions().astype(np.float64)
+
+    def velocities(self) -> np.ndarray:
+        """Return the present velocities of the circles, (n, 2), m/s, without any check."""
+        return self._batch.get_linear_velocities().astype(np.float64)
 
     def bodies(self) -> Bodies:
         """Return the present bodies. The engine has all numbers but the radii in float32. Angles lie in (-π, π]."""

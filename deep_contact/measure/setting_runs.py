@@ -52,14 +52,19 @@ def rivals(scene: State) -> tuple[list, list[str]]:
     return settings, why
 
 
+def world_of(state: State, setting: Mapping):
+    """Return the world of another engine (`peers.ENGINES`), made from the circles of a state for a setting."""
+    options = {name: value for name, value in setting.items() if name in ("slop", "bias", "hertz")}
+    return peers.ENGINES[setting["engine"]](state.replace(contacts=None), **options)
+
+
 class Run:
     """A run of a scene with a setting, in this package or in another engine."""
 
     def __init__(self, start: State, setting: Mapping):
         self._state, self._setting, self._world = start.replace(dt=setting["dt"]), setting, None
         if "engine" in setting:
-            options = {name: value for name, value in setting.items() if name in ("slop", "bias", "hertz")}
-            self._world = peers.ENGINES[setting["engine"]](self._state.replace(contacts=None), **options)
+            self._world = world_of(self._state, setting)
 
     def advance(self, steps: int) -> None:
         """Do `steps` steps of the setting's Δt."""

@@ -252,6 +252,9 @@ def _check_trade(trade: Trade) -> None:
         number("dt", setting["dt"], above=0)
         integer("sweeps", setting["sweeps"], least=1)
         expect("engine" in setting or solver_of(setting), f"settings: {brief(setting)}")
+    for _, seen in trade.observed.values():
+        is_at_each_time = seen.force is None or seen.force.shape == seen.kinetic.shape
+        expect(is_at_each_time, "force: expected one at each time, got those of an earlier version")
     for row in trade.rows:
         expect(row["us"] is None or number("us", row["us"], above=0), "us")
         row["errors"] = {name: error and several(name, error, 3) for name, error in row["errors"].items()}

@@ -53,6 +53,7 @@ class StepLog(NamedTuple):
     on_circles: np.ndarray  # (n, 2): sum of the contact impulses on each circle, N·s; (0, 2): not logged
     work: np.ndarray  # (1,): work of moving segments, fixed circles and external forces, J
     shifts: np.ndarray  # (n, 2): momentum from gravity and external forces beyond Δt (m g + f), N·s; (0, 2): not logged
+    deepest: np.ndarray  # (1,): least separation of a contact at the start of a substep, at most 0, m; (0,): not logged
 
 
 def make_log(steps: int, loads: int = 0, circles: int = 0, shifts: int = 0) -> StepLog:
@@ -64,7 +65,7 @@ def make_log(steps: int, loads: int = 0, circles: int = 0, shifts: int = 0) -> S
     counts, theta = np.zeros((4, steps), np.int64), np.zeros(steps)
     progress = np.array([0, 2**63 - 1, 0, 0, 1, 0])  # without a bound on the work
     sums = np.zeros((loads, 2)), np.zeros((0, 8)), np.zeros((circles, 2)), np.zeros(1), np.zeros((shifts, 2))
-    return StepLog(counts[0], counts[1], theta, counts[2], counts[3], progress, *sums)
+    return StepLog(counts[0], counts[1], theta, counts[2], counts[3], progress, *sums, np.zeros(0))
 
 
 def some_steps(log: StepLog, first: int, count: int, work: int, is_watched: bool) -> StepLog:
@@ -139,8 +140,9 @@ def work_on(step, contacts, impulse):
 
 @njit(cache=True)
 def is_asked(log):
-    """Return whether the log stores any impulses."""
-    return log.loads.shape[0] > 0 or log.on_circles.shape[0] > 0 or log.progress[WATCHED] != 0
+    """Return whether the log stores impulses or separations of contacts."""
+    is_summed = log.loads.shape[0] > 0 or log.on_circles.shape[0] > 0
+    return is_summed or log.deepest.shape[0] > 0 or log.progress[WATCHED] != 0
 
 
 @njit(cache=True)
@@ -156,7 +158,7 @@ def impulses_of(contacts, share):
 
 @njit(cache=True)
 def log_impulses(log, pair_impulses, contacts, impulse, n):
-    """Add the impulses of m contacts to `StepLog.loads` and `StepLog.on_circles`, in place.
+    """Add the impulses of m contacts to `StepLog.loads` and `StepLog.on_circles`, in place. `StepLog.deepest` follows.
 
     pair_impulses: array described in `StepLog.pair_impulses`. impulse: impulses on the second bodies of the contacts,
     (m, 2), N·s. n: number of circles. Returns `pair_impulses` with these impulses added if the step is watched. It is
@@ -174,6 +176,8 @@ def log_impulses(log, pair_impulses, contacts, impulse, n):
             log.on_circles[a, axis] -= impulse[i, axis]
             if b < n:
                 log.on_circles[b, axis] += impulse[i, axis]
+    for i in range(m if log.deepest.shape[0] > 0 else 0):
+        log.deepest[0] = min(log.deepest[0], contacts.separation[i])
     if m == 0 or log.progress[WATCHED] == 0:
         return pair_impulses
     # In most cases the contacts have the same pairs as the rows.

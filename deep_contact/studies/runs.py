@@ -34,7 +34,7 @@ from deep_contact.io import shipped
 from deep_contact.io.provenance import commit
 from deep_contact.measure import peers, setting_runs
 from deep_contact.measure.errors import observation, observe
-from deep_contact.measure.setting_runs import states_of
+from deep_contact.measure.watched import readings_of
 from deep_contact.scenes import drum, hopper, lattice_in_box, terrain
 from deep_contact.state.constants import GRAVITY, TIME_STEP
 from deep_contact.state.state import State
@@ -163,7 +163,7 @@ def observed(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mappi
 
     make, kind, n_bodies, seed: as for `made`. setting: solver and time step. seconds: simulated time, s.
     """
-    return observe(states_of(made(make, kind, n_bodies, seed), setting, round(seconds / INTERVAL), INTERVAL))
+    return observe(readings_of(made(make, kind, n_bodies, seed), setting, round(seconds / INTERVAL), INTERVAL))
 
 
 def time_run(make: Callable, kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float, **_) -> float:

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import observation
+from conftest import observation, readings
 
 import deep_contact as dc
 from deep_contact.measure.errors import ERRORS, LOADS, REST, errors, intervals, observe, with_reach
@@ -19,7 +19,7 @@ def states(scene, *, count=40, each=5, **options):
 
 
 def test_a_falling_circle_by_closed_form():
-    seen = observe(states(dc.single_body(height=25.0), count=30, each=3))
+    seen = observe(readings(states(dc.single_body(height=25.0), count=30, each=3)))
     t = 0.03 * np.arange(1, 31) * np.sqrt(9.81)
     np.testing.assert_allclose(seen.kinetic, 0.5 * t**2, rtol=1e-9)
     np.testing.assert_allclose(seen.speed, t, rtol=1e-9)
@@ -32,7 +32,7 @@ def test_a_falling_circle_by_closed_form():
 
 
 def test_a_column_at_rest_carries_its_weight():
-    seen = observe(states(dc.column(5), count=80))
+    seen = observe(readings(states(dc.column(5), count=80)))
     np.testing.assert_allclose(seen.force[-10:], 1, atol=1e-3)
     np.testing.assert_allclose(seen.contacts[-1], 1)  # four pairs and the floor, for five circles
     assert seen.speed[-1] < 1e-3
@@ -49,7 +49,7 @@ def test_fixed_circles_belong_to_the_walls_and_have_no_energy_height_or_weight(s
     alone = states(dc.column(2), count=25, each=2)
     peg = dc.make_bodies([[2.0, 25.0]], spin=spin, fixed=True)
     pegged = [state.with_bodies(add=peg) for state in alone]
-    seen, expected = observe(pegged), observe(alone)
+    seen, expected = observe(readings(pegged)), observe(readings(alone))
     for name in ("kinetic", "height", "force", "penetration", "loads"):
         np.testing.assert_allclose(getattr(seen, name), getattr(expected, name), rtol=1e-12, err_msg=name)
     assert np.isfinite(seen.speed).all()
@@ -61,7 +61,7 @@ def test_penetration_is_that_of_the_contacts():
     world = dc.World(gravity=(0, -1e-9))
     pushed = scene.bodies._replace(position=scene.bodies.position + np.array([[0.03, 0], [-0.03, 0]]))
     state = dc.simulate(scene.replace(world=world, bodies=pushed), steps=0).state
-    seen = observe([state.replace(time=float(k)) for k in range(REST)])
+    seen = observe(readings(state.replace(time=float(k)) for k in range(REST)))
     np.testing.assert_allclose(seen.penetration, 0.06)
     np.testing.assert_allclose(seen.contacts, 0.5)
 
@@ -70,7 +70,7 @@ def test_penetration_is_that_of_the_contacts():
 def test_numbers_are_the_same_at_every_scale(scale):
     """Only what is observed is scaled here, not the engine: lengths by s, times by √s, masses by s²."""
     run = states(dc.circles_in_box(30, seed=1), count=30)
-    seen = observe(run)
+    seen = observe(readings(run))
 
     def scaled(state):
         b, c, w = state.bodies, state.contacts, state.world
@@ -80,7 +80,7 @@ def test_numbers_are_the_same_at_every_scale(scale):
         world = dc.World(box=np.multiply(scale, w.box), gravity=w.gravity)
         return state.replace(bodies=bodies, contacts=contacts, world=world, time=np.sqrt(scale) * state.time)
 
-    for one, other in zip(seen[:8], observe(map(scaled, run))):
+    for one, other in zip(seen[:8], observe(readings(map(scaled, run)))):
         np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
 
 
@@ -97,12 +97,12 @@ def test_a_pile_that_is_turned_with_gravity_has_the_same_numbers(quarters):
         return state.replace(bodies=bodies, world=dc.World(box=box, gravity=gravity))
 
     run = states(dc.circles_in_box(30, seed=1), count=30)
-    for one, other in zip(observe(run)[:6], observe(map(turned, run))[:6]):
+    for one, other in zip(observe(readings(run))[:6], observe(readings(map(turned, run)))[:6]):
         np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
 
 
 def test_an_ensemble_has_no_error_against_itself():
-    runs = [observe(states(dc.circles_in_box(30, seed=seed), count=30)) for seed in (1, 2)]
+    runs = [observe(readings(states(dc.circles_in_box(30, seed=seed), count=30))) for seed in (1, 2)]
     found = errors(runs, runs)
     absolute = {"penetration", "penetration_95", "penetration_max"}
     assert found.keys() == ERRORS.keys()
@@ -138,7 +138,7 @@ def test_the_95th_percentile_is_that_of_the_contacts():
         world=dc.World(gravity=(0, -1.0)), bodies=dc.make_bodies([[5, 5], [15, 5]], radius=2.0),
         contacts=SimpleNamespace(separation=-0.02 * np.arange(101), normal_start=np.zeros(101)),
     )  # fmt: skip
-    seen = observe([state.replace(time=float(k)) for k in range(REST)])
+    seen = observe(readings(state.replace(time=float(k)) for k in range(REST)))
     np.testing.assert_allclose(seen.penetration, [[0.5, 0.95, 1.0]] * REST)
 
 
@@ -162,7 +162,7 @@ def test_what_a_gas_and_a_drum_never_have_is_unknown():
 
 def test_a_gas_is_measured_by_its_fastest_circle():
     run = states(dc.drifting_circles(20, speed=5.0, seed=1), count=30)
-    seen, bodies = observe(run), run[0].bodies
+    seen, bodies = observe(readings(run)), run[0].bodies
     speed = np.hypot(*bodies.velocity.T)
     kinetic = 0.5 * (bodies.mass @ speed**2 + bodies.inertia @ bodies.spin**2) / bodies.mass.sum()
     np.testing.assert_allclose(seen.speed[0], 10 * np.sqrt((speed**2).mean()) / speed.max())
@@ -196,10 +196,10 @@ def test_intervals_hold_the_value_and_shrink_with_seeds():
 
 def test_what_cannot_be_observed_is_refused():
     run = states(dc.circles_in_box(20, seed=1), count=5)
-    with pytest.raises(ValueError, match=f"states: expected at least {REST}, got 5"):
-        observe(run)
-    with pytest.raises(ValueError, match="states: expected"):
-        observe([dc.simulate(dc.drifting_circles(3, speed=0.0), steps=1).state])
+    with pytest.raises(ValueError, match=f"readings: expected at least {REST}, got 5"):
+        observe(readings(run))
+    with pytest.raises(ValueError, match="readings: expected"):
+        observe(readings([dc.simulate(dc.drifting_circles(3, speed=0.0), steps=1).state]))
     with pytest.raises(ValueError, match="found: expected"):
         intervals([observation()], [observation()] * 2)
 
@@ -214,5 +214,5 @@ def test_loads_are_those_of_the_last_observations():
     """Five observations of loads 1 and 3, then twenty of equal ones: all of these are their mean."""
     state = dc.simulate(dc.two_bodies(speed=0.0), steps=0).state.replace(world=dc.World(gravity=(0, -1.0)))
     kinds = [SimpleNamespace(separation=np.zeros(2), normal_start=np.array(pair)) for pair in ([1.0, 3.0], [5.0, 5.0])]
-    seen = observe([state.replace(time=float(k), contacts=kinds[k >= 5]) for k in range(5 + REST)])
+    seen = observe(readings(state.replace(time=float(k), contacts=kinds[k >= 5]) for k in range(5 + REST)))
     np.testing.assert_array_equal(seen.loads, LOADS >= 1.0)

@@ -200,6 +200,12 @@ def test_an_earlier_trade_of_another_processor_is_refused(pile):
         measurement._known(pile[1], replace(pile[1], cpu="another"))
 
 
+def forces_between(run):
+    """A stored run of an earlier version, with forces between two times: one force less than times."""
+    *start, seen = run
+    return [*start, seen | {"force": seen["force"][1:]}]
+
+
 SPOILT = {
     "no JSON": lambda stored: "{",
     "nested": lambda stored: "[" * 100_000,
@@ -223,6 +229,7 @@ SPOILT = {
         stored | {"rows": [one | {"setting": one["setting"] | {"omga": 1.0}} for one in stored["rows"]]}
     ),
     "observed once": lambda stored: json.dumps(stored | {"observed": [3]}),
+    "forces between times": lambda stored: json.dumps(stored | {"observed": [forces_between(stored["observed"][0])]}),
 }
 """What a file may be in place of a trade -> its text, of what `Trade.save` writes."""
 

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from conftest import readings
 
 import deep_contact as dc
 from deep_contact.analysis.lcp import contact_problem
@@ -57,7 +58,7 @@ def results():
         "ForceBounds": lambda: dc.force_bounds(RUN.state, [0, 1]),
         "Recommendation": lambda: dc.recommend(RUN.state),
         "Plan": lambda: dc.plan(RUN.state),
-        "Observation": lambda: observe(RUN.trajectory),
+        "Observation": lambda: observe(readings(RUN.trajectory)),
         "LearnedModel": lambda: dc.load_model(),
         "FarFieldModel": lambda: dc.load_model("far field"),
     }

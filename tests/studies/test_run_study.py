@@ -152,7 +152,7 @@ def stand_in(make, kind, n_bodies, seed, setting, **_):
     """In place of `runs.observed`: a run whose numbers are those of its seed and its sweeps."""
     seen = {name: np.full(30, 1.0 + seed % 1000) for name in ("kinetic", "height", "speed", "contacts")}
     seen["kinetic"] = seen["kinetic"] * (1.0 + 0.01 * (setting["sweeps"] != 20))
-    seen |= {"penetration": np.zeros((30, 3)), "force": np.ones(29), "loads": None, "interval": 0.1}
+    seen |= {"penetration": np.zeros((30, 3)), "force": np.ones(30), "loads": None, "interval": 0.1}
     return results.plain(seen | {"quantities": {}})
 
 
