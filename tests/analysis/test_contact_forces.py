@@ -75,7 +75,9 @@ def moved(kind, seed):
 
 
 @pytest.mark.parametrize("kind", ["walls", "rebounds", pytest.param("frictionless", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("solver", [dc.PGS, dc.BatchedPGS, pytest.param(dc.PSOR, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "solver", [dc.PGS, *(pytest.param(of, marks=pytest.mark.slow) for of in (dc.BatchedPGS, dc.PSOR))]
+)
 def test_contacts_of_a_step_give_momentum_and_angular_momentum_to_rounding(kind, solver):
     """Σ of the positions, normals, λ_n and λ_t of `on_step`'s contacts, in undivided steps.
 

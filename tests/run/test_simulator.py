@@ -308,7 +308,10 @@ def rollers(**world):
     return circles_at(places, fixed=ROLLERS, box=(-9.0, 0.0, 22.0, 20.0), friction=0.5, **world)
 
 
-@pytest.mark.parametrize("how", [{"solver": dc.PGS(sweeps=8)}, {"solver": dc.BatchedPGS(sweeps=8)}, {"sleep": True}])
+ASLEEP = pytest.param({"sleep": True}, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("how", [{"solver": dc.PGS(sweeps=8)}, {"solver": dc.BatchedPGS(sweeps=8)}, ASLEEP])
 @pytest.mark.parametrize("restitution", [0.0, 0.6])
 def test_motions_of_fixed_circles_that_are_set_are_those_of_a_state_that_has_them(how, restitution):
     state = rollers(restitution=restitution)
