@@ -181,9 +181,9 @@ circles. Each engine has more settings than `LARGEST` has for this package.
 """
 
 MORE = {
-    "no friction": {"100": settings({4: (3,), 8: (2,)}, **PGS), "1000": settings({4: (3,), 8: (2, 3)}, **PGS)}
+    "no friction": {n: settings({4: (3,), 8: (2, 3)}, **PGS) for n in ("100", "300", "1000")}
     | {"3000": settings({4: (10,), 8: (3, 5)}, **COLOURS, **FEW)},
-    "drum": {n: settings({2: (4,), 4: (2,)}, **PGS, **FEW) for n in ("100", "1000", "3000")},
+    "drum": {n: settings({2: (4,), 4: (2,)}, **PGS, **FEW) for n in ("100", "300", "1000", "3000")},
     "heavy on light 1 : 10": {"10000": settings({4: (30,)}, **COLOURS, **FEW)},
     "heavy on light 1 : 100": {"10000": settings({8: (40,), 16: (20,), 32: (20,)}, **COLOURS, **FEW)},
 }
@@ -194,10 +194,10 @@ Without these, no setting kept the tolerances of some preset, or only one that t
 
 LISTS = {
     "settings": {"100": SMALL, "300": SMALL, "1000": SMALL, "3000": LARGE, "10000": LARGEST},
-    "dense": {"100": DENSE, "1000": DENSE, "3000": DENSE_LARGE, "10000": DENSE_LARGEST},
-    "walled": {"100": DENSE, "1000": DENSE, "3000": [*LARGE, *DENSE_LARGE]},
-    "ladder": {"100": LADDER, "300": LARGE_LADDER, "1000": LADDER, "3000": LARGE_LADDER} | {"10000": LARGEST_LADDER},
-    "peers": {"100": PEERS, "300": [], "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGEST_PEERS},
+    "dense": {"100": DENSE, "300": DENSE, "1000": DENSE, "3000": DENSE_LARGE, "10000": DENSE_LARGEST},
+    "walled": {"100": DENSE, "300": DENSE, "1000": DENSE, "3000": [*LARGE, *DENSE_LARGE]},
+    "ladder": {"100": LADDER, "300": LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGEST_LADDER},
+    "peers": {"100": PEERS, "300": PEERS, "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGEST_PEERS},
 }
 """Name of a list -> number of circles -> settings.
 
@@ -263,8 +263,8 @@ def wanted(options: Mapping) -> dict[tuple[str, int, str], tuple[dict, int]]:
             lists = [([runs.REFERENCE, *LISTS[of][n], *MORE.get(kind, {}).get(n, [])], count)]
             if kind == "plain":
                 lists += [(LISTS["ladder"][n], options["ladder_seeds"][n])]
-                lists += [(LISTS["peers"][n][:: options["peers"]], options["peer_seeds"][n])]
-            for setting, seeds in ((setting, seeds) for listed, seeds in lists for setting in listed):
+                lists += [(LISTS["peers"][n][:: options["peers"]], options["peer_seeds"].get(n, 0))]
+            for setting, seeds in ((setting, seeds) for listed, seeds in lists if seeds for setting in listed):
                 cases_by_name.setdefault((kind, int(n), name_of(setting)), (setting, seeds))
     return cases_by_name
 
@@ -418,15 +418,16 @@ DEAR = ("gas", "drum", *WALLED_KINDS)
 """Kinds of scenes that are not run with 10,000 circles. The presets take what was measured with 3,000 circles."""
 
 FULL = {
-    "seeds": {"100": {kind: 12 if kind in MANY else 8 for kind in runs.KINDS}, "1000": dict.fromkeys(runs.KINDS, 6)}
+    "seeds": {"100": {kind: 12 if kind in MANY else 8 for kind in runs.KINDS}}
+    | {"300": dict.fromkeys(runs.KINDS, 6), "1000": dict.fromkeys(runs.KINDS, 6)}
     | {"3000": {kind: 4 if kind in FEWER else 6 for kind in runs.KINDS}}
     | {"10000": {kind: 6 if kind in MANY else 3 for kind in runs.KINDS if kind not in DEAR}},
-    "peer_seeds": {"100": 12, "1000": 6, "3000": 6, "10000": 3},
-    "ladder_seeds": {"100": 12, "1000": 6, "3000": 6, "10000": 6},
+    "peer_seeds": {"100": 12, "300": 6, "1000": 6, "3000": 6, "10000": 3},
+    "ladder_seeds": {"100": 12, "300": 6, "1000": 6, "3000": 6, "10000": 6},
     "peers": 1, "seconds": runs.SECONDS, "processes": 3, "timed": True, "work": "runs/run_tradeoff",
 }  # fmt: skip
 QUICK = {
-    "seeds": {"100": {"plain": 4}, "300": {"plain": 3}}, "peer_seeds": {"100": 4, "300": 3},
+    "seeds": {"100": {"plain": 4}, "300": {"plain": 3}}, "peer_seeds": {"100": 4},
     "ladder_seeds": {"100": 4, "300": 3}, "peers": 3, "seconds": 4.0, "processes": 1,
 }  # fmt: skip
 FIGURE = Figure("B.3", "Speed for accuracy in runs: errors and times of settings and engines", compute, table,
