@@ -821,6 +821,7 @@ GIVEN: dict[str, list[str]] = {
         ),
         *("by at most 1 % of its initial value", "Δt is 10 ms", "below 3 % of a mean radius", "steps of 0.625 ms"),
         *("the lengths are 100 times these, and the speeds 10 times", "a thread works for 10 ms"),
+        *("a mean over 50 ms for circles", "over 5 ms for circles", "at each step of 10 ms or 1 ms"),
     ],
     "benchmarks.md": ["a velocity error of 0.1", "ω = 1.5", "61 × 61 nodes", "30 ns a contact and sweep"],
     "guide.md": [
