@@ -28,6 +28,9 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell sets it for 
 
 
 ENGINE_LAST = (
+    "run/",
+    "analysis/",
+    "accuracy/",
     "documents/test_readme.py",
     "stepping/",
     "solvers/",
