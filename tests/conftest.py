@@ -42,6 +42,11 @@ ENGINE_LAST = (
 """Files whose tests need many kinds of steps, and so run last."""
 
 
+SELDOM = "stepping/", "behaviour/", "scripts/"
+"""Folders whose runs by NesterovPGS are slow tests: they compile a kind of step that no scene gets by itself."""
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """Golden runs first: one process compiles their kinds of steps, while others run the tests that need few kinds.
 
@@ -54,6 +59,10 @@ def pytest_collection_modifyitems(items):
         return name != "test_golden.py", *kinds
 
     items.sort(key=place)
+    for item in items:
+        of = item.path.relative_to(Path(__file__).parent).as_posix(), getattr(item, "callspec", None)
+        if of[0].startswith(SELDOM) and of[1] and "NesterovPGS" in of[1].id:
+            item.add_marker(pytest.mark.slow)
 
 
 def load_script(name):

@@ -10,7 +10,11 @@ golden = load_script("golden")
 
 
 SCENES, SOLVERS = ("frictionless", "elastic", "gas", "drum", "hopper"), ("islands", "NesterovPGS", "NNCG")
-RARE = {f"{scene}, {solver}" for scene, solver in product(SCENES, SOLVERS)} | {"frictionless, PSOR"}
+RARE = {f"{scene}, {solver}" for scene, solver in product(SCENES, SOLVERS)} | {
+    "frictionless, PSOR",
+    "row, islands, sleep",
+    "pile, NesterovPGS",
+}
 """Runs whose kinds no other test compiles, which takes ten seconds each."""
 
 

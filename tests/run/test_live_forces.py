@@ -20,7 +20,7 @@ WAYS = {
     "rebounds": ({"restitution": 0.5}, {"solver": dc.PGS(sweeps=8, substeps=2, most_substeps=8)}),
     "batches": ({"restitution": 0.3}, {"solver": dc.BatchedPGS(sweeps=8, substeps=3)}),
 }
-RARE = "asleep", "frictionless"  # each compiles a kind of step that no other test needs
+RARE = "asleep", "frictionless", "batches"  # each compiles a kind of step that no other test needs
 SIDES = "floor", "right", "ceiling", "left"
 
 

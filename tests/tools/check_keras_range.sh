@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Predict with the oldest and with the newest Keras and TensorFlow that setup.cfg allows, each in an environment of its
-# own, and compare with the stored numbers: `bash tests/tools/check_keras_range.sh [oldest] [newest]`, both by default.
+# own, and compare with the stored numbers: `bash tests/tools/check_keras_range.sh [install] [oldest] [newest]`, both by
+# default. With `install` nothing is predicted yet.
 # DEEP_CONTACT_RANGE names a folder for the environments (1.5 GB each), DEEP_CONTACT_PYTHON the python. The oldest
 # TensorFlow (2.16) supports Python up to 3.12: without one at hand, that end is skipped, with the reason.
 set -euo pipefail
@@ -11,6 +12,8 @@ mkdir -p "$folder"
 sed -nE 's/^ +(keras|tensorflow) >=([0-9.]+)$/\1 ==\2.*/p' setup.cfg > "$folder/oldest.txt"
 : > "$folder/newest.txt"
 given="${DEEP_CONTACT_PYTHON:-}"
+only_install=""
+[ "${1:-}" != install ] || { only_install=yes; shift; }
 [ $# -gt 0 ] || set -- oldest newest
 for end; do
     [ -e "$folder/$end.txt" ] || { echo "$end: expected oldest or newest" >&2; exit 2; }
@@ -33,6 +36,7 @@ for end; do
     export PIP_CONSTRAINT="$folder/$end.txt" DEEP_CONTACT_VENV="$folder/$end"
     ensure_venv ""
     "$PYTHON" -m pip install --quiet --no-compile --disable-pip-version-check pytest pytest-timeout
+    [ -z "$only_install" ] || continue
     "$PYTHON" -m pip list 2> /dev/null | grep -E '^(keras|tensorflow|numpy|numba|h5py) '
     "$PYTHON" -m pytest tests/cnn/test_stored_predictions.py tests/cnn/test_inference.py tests/cnn/test_convolution.py
 done
