@@ -2,8 +2,9 @@
 
 The setting of each preset is run in scenes of other kinds, sizes and seeds, and compared with a reference, by
 `studies.runs`. For some kinds of scenes, settings that `measure_trade` chooses are tested as well. It chooses with
-other seeds. The results of finished runs are stored in the work folder, so that a run of the same commit can be
-resumed. Times have to be measured on a machine that runs nothing else.
+other seeds. Runs of a solver as good as the reference, with one sweep more, are judged too: piles are chaotic, so that
+their errors are chance alone. The results of finished runs are stored in the work folder, so that a run of the same
+commit can be resumed. Times have to be measured on a machine that runs nothing else.
 """
 
 import warnings
@@ -99,10 +100,10 @@ def chosen_by_trade(kind, n, options, seed, jobs):
 
 
 def compute(options, seed, jobs, progress):
-    """Measure the chosen settings. Returns "rows" of the presets and "trades" of `measure_trade`, and "times".
+    """Measure the chosen settings. Returns "rows" of the presets, "trades" of `measure_trade`, "again" and "times".
 
-    "rows" and "trades" have a row for each kind of scene, number of circles and preset. "times" are the rows of the
-    presets whose computing time was measured.
+    "rows", "trades" and "again" have a row for each kind of scene, number of circles and preset. In "again" the setting
+    is that of the reference with one sweep more. "times" are the rows of the presets whose computing time was measured.
     """
     cases, chosen, times, common = {}, [], {}, {"work": Path(options["work"]), "seconds": options["seconds"]}
     places = [(kind, int(n)) for n, kinds in options["scenes"].items() for kind in kinds]
@@ -111,10 +112,9 @@ def compute(options, seed, jobs, progress):
         taken = {"rows": chosen_by_presets(start)}
         if kind in options["trades"].get(str(n), []):
             taken["trades"] = chosen_by_trade(kind, n, options, seed, jobs)
-        settings = [
-            reference_of(scene_numbers(start), stiffness(start)),
-            *(setting for by in taken.values() for setting, _ in by.values()),
-        ]
+        reference = reference_of(scene_numbers(start), stiffness(start))
+        taken["again"] = dict.fromkeys(PRESETS, (reference | {"sweeps": reference["sweeps"] + 1}, None))
+        settings = [reference, *(setting for by in taken.values() for setting, _ in by.values())]
         cases |= {(kind, n, name_of(setting, start.dt)): (setting, count) for setting in settings}
         for by, preset, (setting, us) in ((by, preset, one) for by, of in taken.items() for preset, one in of.items()):
             key = kind, n, name_of(setting, start.dt)
@@ -122,7 +122,7 @@ def compute(options, seed, jobs, progress):
             times |= {key: 1} if by == "rows" and kind in options["timed"].get(str(n), []) else {}
     measured = runs.observed_rows(scene, cases, **common, seed=seed, jobs=jobs)
     took = dict(zip(measured, runs.timed_rows(scene, measured, times, **common, seed=seed)))
-    data = {"rows": [], "trades": [], "times": []}
+    data = {"rows": [], "trades": [], "again": [], "times": []}
     for by, key, about in chosen:
         row = {name: took[key][name] for name in ("kind", "n_bodies", "name", "setting")} | about
         data[by].append(row | judged(took[key]["errors"], about["preset"]))

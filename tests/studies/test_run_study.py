@@ -213,6 +213,7 @@ def test_what_presets_and_trades_choose_is_held_against_scenes_outside_the_study
     taken = script.chosen_by_presets(script.scene("loose", 20, script.FIGURE.seed))
     assert [(row["preset"], row["setting"]) for row in data["rows"]] == [(name, one[0]) for name, one in taken.items()]
     assert [(row["preset"], row["setting"]) for row in data["trades"]] == [(name, FINE) for name in PRESETS]
+    assert [(row["preset"], row["setting"]["sweeps"]) for row in data["again"]] == [(name, 21) for name in PRESETS]
     assert [row["us"] for row in data["times"]] == [7.0] * len(PRESETS)
     errors = {"energy": (26, 24, 28), "height": (6, 5.5, 7), "impact": (35, 30, 40), "creep": None}
     judged = script.judged(errors, "preview")
