@@ -680,7 +680,8 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     ],
     "guide.md": [
         (
-            "takes {:.0f} µs in place of {:.1f} µs in one call for 10 circles, and {:.0f} µs in place of {:.1f} µs for 100",
+            "takes {:.0f} µs as a call of its own, and {:.1f} µs as one of many steps in one call. In a pile of 100 circles "
+            "these times are {:.0f} µs and {:.1f} µs",
             lambda: [steps_live(way, n)[0] for n in (10, 100) for way in ("Simulator", "one call")],
         ),
         (
@@ -705,16 +706,16 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "weights that sum to one. What is lost is {:.0e}, which is rounding, and {:.2f} at d = h = 1 m",
             lambda: [lost("pile, authors' sharing"), lost_at("authors' sharing", 1.0)],
         ),
-        ("for the SPH image: {:.2f} on the pile", lambda: [lost("pile, authors' spline")]),
+        ("for the SPH image. It loses {:.2f} on the pile", lambda: [lost("pile, authors' spline")]),
     ],
     "starts.md": [
         (
-            "it is {:.1f} times the mean λ_n with μ = 0.5, and {:.2f} of it without friction. In a pile "
-            "of 1,000 circles, with friction, it is {:.0f} times",
+            "this interval is {:.1f} times the mean λ_n with μ = 0.5, and {:.2f} times the mean λ_n without friction. In a "
+            "pile of 1,000 circles, with friction, it is {:.0f} times the mean λ_n",
             lambda: [width(), width(0), width(circles=1000)],
         ),
         ("the median contact's λ_n is off by {:.2f} of the mean λ_n", lambda: elsewhere()[:1]),
-        ("it is off by {:.2f}. The network", lambda: elsewhere()[1:2]),
+        ("λ_n is off by {:.2f} of the mean λ_n. The network", lambda: elsewhere()[1:2]),
         ("its λ_n is off by {:.3f} before any sweep, and its velocity error is {:.2f}", lambda: elsewhere()[2:]),
         (
             "3 sweeps from the network leave as small an error as {:.1f} sweeps of the best classical setting; 10 sweeps are "
@@ -727,9 +728,9 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
         ("This network saves {:.1f}, {:.1f} and {:.1f} sweeps where", lambda: worth() - AFTER),
         (
-            "rounded to one digit is ahead of Builtin at sweeps {} to {:,}, and each digit more divides the first θ by {:.0f} to "
-            "{:.0f}. In the median state one digit is not enough: to θ < 6e-5 N·s it takes {:.0f} sweeps, "
-            "Builtin {:.0f}, and two digits {:.0f}",
+            "rounded to one digit is ahead of Builtin at sweeps {} to {:,}, and each further digit divides the θ of the first "
+            "sweep by {:.0f} to {:.0f}. In the median state one digit is not enough: to θ < 6e-5 N·s it takes {:.0f} sweeps, "
+            "Builtin takes {:.0f}, and two digits take {:.0f}",
             digits,
         ),
     ],
