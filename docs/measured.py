@@ -530,111 +530,118 @@ Numbers = Callable[[], object]
 
 SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     "accuracy.md": [
-        ("Of the {} ends {} are known. They lie from {:.1f} to {:.1f}", rivals_ends),
+        ("Of the {} ends {} are known. The known ends lie between {:.1f} and {:.1f}", rivals_ends),
         ("is the median over the {} scenes of", lambda: [cells_outside()]),
         (
-            "They come from {} piles of 100 circles and from {} piles of each larger size; those of other engines with 10,000 "
-            "circles come from {}",
+            "They come from {} piles of 100 circles and from {} piles of each larger size. The errors of other engines with "
+            "10,000 circles come from {}",
             seeds_of_the_study,
         ),
         (
-            "This page once said {:.1f} to {:.1f} times. Rivals paid for the destruction of their worlds: {:.0f} of the {:.0f} ms",
+            "the fastest other engine takes {:.1f} to {:.1f} times as long as ours. The times of the other engines then included "
+            "the destruction of their worlds. This destruction took {:.0f} of the {:.0f} ms",
             before,
         ),
         (
-            "natively (version 3.2.0, not yet released, gcc 12.2, -O3 -mavx2) it takes {:.2f} to {:.2f} of its package's time, "
-            "version 3.1.1, which the package has, {:.2f} to {:.2f}. With the former the range of the fastest other engine is {:.1f} to {:.1f}",
+            "Version 3.2.0 of Box2D, which is not yet released, was compiled natively (gcc 12.2, -O3 -mavx2). It takes {:.2f} to {:.2f} of "
+            "the time of the package. Version 3.1.1, which is the one in the package, takes {:.2f} to {:.2f} of the time of the "
+            "package if it is compiled natively. With the native version 3.2.0, the time of the fastest other engine over ours is "
+            "{:.1f} to {:.1f}",
             lambda: [*spread(native_share("head-avx2")), *spread(native_share("v3.1.1-avx2")), *rivals_with_native()],
         ),
         (
-            "That makes {} cells. In {} of them ours and a rival keep the preset. There the fastest rival takes {:.1f} to {:.1f} "
-            "times as long as ours",
+            "That makes {} cells. In {} of them both ours and a rival keep the preset. In these cells the fastest rival takes "
+            "{:.1f} to {:.1f} times as long as ours",
             lambda: [*wall_cells(), *walls()[:2]],
         ),
         (
-            "The ends of the ratios that are known lie from {:.2f} to {:.1f}. {} ratios have no lower end, since no setting of ours keeps the "
-            "preset at the upper ends of its errors. {} have no upper end",
+            "The known ends lie between {:.2f} and {:.1f}. For {} ratios the lower end is not known, since no setting of ours keeps "
+            "the preset at the upper ends of its errors. For {} ratios the upper end is not known",
             walls_ends,
         ),
         (
-            "In {} cells ours alone keeps the preset; in {} of these a rival does at the lower ends of its errors. The "
-            "number of cells that only a rival keeps is {}",
+            "In {} cells ours alone keeps the preset. In {} of these cells a rival keeps it at the lower ends of its errors. The "
+            "number of cells in which only a rival keeps the preset is {}",
             walls_alone,
         ),
-        ("Of hoppers, {} of the {} cells have a ratio", lambda: wall_cells("hopper")[::-1]),
-        ("{} to {} of ours were run, and {} of each rival", walls_settings),
+        ("For hoppers, {} of the {} cells have a ratio", lambda: wall_cells("hopper")[::-1]),
+        ("{} to {} settings of ours were run, and {} of each rival", walls_settings),
         ("The number of cells without a mark is {}", lambda: [sum(walls_alone()[1:])]),
-        ("It is faster than ours in {} of these cells: {} are of 100 circles on terrain", walls_slower),
+        ("The fastest rival is faster than ours in {} of these cells, of which {} have 100 circles on terrain", walls_slower),
         (
-            "Ten circles take {:.1f} times as long as in the fastest other engine, and more circles {:.2f} to {:.2f} times as long. A run "
-            "that calls a function at each step takes {:.1f} and {:.2f} to {:.2f} times as long",
+            "takes {:.1f} times as long as a step of the fastest other engine. For more circles it takes {:.2f} to {:.2f} times as "
+            "long. A step of a run that calls a function at each step takes {:.1f} times as long as a step of the fastest other "
+            "engine for 10 circles, and {:.2f} to {:.2f} times as long for more circles",
             lambda: [*live_over_others("Simulator"), *live_over_others("on_step")],
         ),
         (
-            "{:.1f} to {:.1f} times as long, and those of the others {:.1f} to {:.1f} times",
+            "takes {:.1f} to {:.1f} times as long as on idle cores. The median steps of the other engines take {:.1f} to {:.1f} "
+            "times as long",
             busy_over_idle,
         ),
-        ("`accuracy=` takes keeps its preset in {} of {} cases, in {} within the interval of the seeds", lambda: walls()[2:]),
         (
-            "A step of a pile that sleeps costs 1/{:.0f} of one of a pile that is awake. A sweep without friction costs 1/{:.1f} of one "
-            "with it at 100 circles, and 1/{:.1f} at 1,000",
+            "`accuracy=` takes keeps its preset in {} of {} cells. If a miss counts only beyond the interval of the seeds, it keeps "
+            "its preset in {} cells",
+            lambda: walls()[2:],
+        ),
+        (
+            "A step of a pile that sleeps takes 1/{:.0f} of the time of a step of the same pile awake. A sweep without friction "
+            "takes 1/{:.1f} of the time of a sweep with friction at 100 circles, and 1/{:.1f} at 1,000",
             lambda: [
                 saved(row)
                 for row in ("asleep: a step", *(f"no tangent rows, no spin: a sweep, {n} circles" for n in ("100", "1,000")))
             ],
         ),
         (
-            "checked on {} kinds and sizes of scenes outside the study, from 100 to 10,000 circles: other seeds, radii, "
-            "friction, heights, densities, time steps and restitutions, a silo, a low dam, a thinner gas, other drums, "
-            'terrains and hoppers, a belt, a faster pushing wall. All tolerances were kept in {} cells by "preview", {} by "fast", {} by "balanced", {} by '
-            '"accurate" and {} by "reference"; if a miss counts only beyond the interval of the seeds, in {}, {}, {}, {} '
+            'All tolerances were kept in {} of these scenes by "preview", in {} by "fast", in {} by "balanced", in {} by "accurate" '
+            'and in {} by "reference". If a miss counts only beyond the interval of the seeds, the numbers are {}, {}, {}, {} '
             "and {}",
-            lambda: [cells_outside(), *verified(), *verified("within")],
+            lambda: [*verified(), *verified("within")],
         ),
+        ("checked on {} kinds and sizes of scenes outside the study", lambda: [cells_outside()]),
         (
-            "Costs were measured on another day than the study's, which the predictions come from. Their median was "
-            "{:.2f} times the predicted one. Divided by this median, the costs were {:.2f} to {:.2f} times the predicted ones where scenes have no "
-            "segments, {:.2f} to {:.2f} times in drums and on a belt, {:.2f} to {:.2f} times in hoppers and on terrain, "
-            "and {:.2f} to {:.2f} times where a wall pushes",
+            "The median of the measured time over the predicted time was {:.2f}. Divided by this median, the measured time over "
+            "the predicted time was {:.2f} to {:.2f} where scenes have no segments, {:.2f} to {:.2f} in drums and on a belt, "
+            "{:.2f} to {:.2f} in hoppers and on terrain, and {:.2f} to {:.2f} where a wall pushes",
             costs_outside,
         ),
         (
-            "Safe are mass ratios to {:g}, radius ratios to {:,.0f}, columns of {:,.0f} circles, pyramids of {:.0f} "
-            "rows",
+            "safe for mass ratios up to {:g}, radius ratios up to {:,.0f}, columns of up to {:,.0f} circles, pyramids of up to "
+            "{:.0f} rows",
             lambda: safe("ours", "mass ratio, heavy on light", "radius ratio", "column height", "pyramid rows"),
         ),
         (
-            "to {:g} s, speeds to {:g} m/s and coordinates to {:g} m",
+            "to {:g} s, speeds up to {:g} m/s and coordinates up to {:g} m",
             lambda: safe("ours", "time step", "speed", "coordinate"),
         ),
         (
-            "safe to a mass ratio of {:.0f}, columns of {:.0f} circles and pyramids of {:.0f} rows",
+            "safe up to a mass ratio of {:.0f}, columns of {:.0f} circles and pyramids of {:.0f} rows",
             lambda: safe("Box2D 2.3", "mass ratio, heavy on light", "column height", "pyramid rows"),
         ),
         (
-            "has {} to {} sweeps and {:.2f} to {:.2f} of the deepest penetration",
+            "this setting has {} to {} sweeps, and its deepest penetration is {:.2f} to {:.2f} times that of the long step",
             lambda: [
                 *spread(best["setting"]["sweeps"] for _, best in smaller_steps()),
                 *smaller_step_over_20_sweeps("penetration_max"),
             ],
         ),
         (
-            "is {:.1f} to {:.1f} times as far from the reference's as that of 20 sweeps",
+            "is {:.1f} to {:.1f} times as far from the reference's as the curve of the long step",
             lambda: smaller_step_over_20_sweeps("energy"),
         ),
         (
-            "mean penetration of {:.2f} % of r at rest, one step with the whole slop {:.2f} %",
+            "mean penetration at rest of {:.2f} % of r. One step with the whole slop leaves {:.2f} %",
             lambda: [penetration(**BY_MOTION), penetration(dt=0.01)],
         ),
-        ("a start whose impulses add up to {:g} times W. W is the weight of all circles times Δt. The rounding of these impulses stays in the velocities. A start of {:g} times W", wild_starts),
+        ("a start in which each tangent impulse is {:g} times W. W is the weight of all circles times Δt. The rounding of these impulses stays in the velocities. A start of {:g} times W", wild_starts),
         (
-            "Radii that differ {:,.0f} times degrade",
+            "radii that differ {:,.0f} times is degraded",
             lambda: [float(cell("figure_6_6", "radius ratio", "ours: degraded"))],
         ),
         (
-            "circles sink at most {:.1f} % of r into each other, and 10 ms of the run take {:.0f} µs. With one step of 10 ms they "
-            "sink at most {:.1f} %, and it takes {:.0f} µs. With eight fixed substeps they sink at most {:.1f} %, and these take "
-            "{:.0f} µs",
+            "With this setting the deepest penetration is {:.1f} % of r, and 10 ms of the run take {:.0f} µs of computing time. With 4 sweeps in one "
+            "step of 10 ms the deepest penetration is {:.1f} %, and the step takes {:.0f} µs. With 4 sweeps in each of eight fixed "
+            "substeps the deepest penetration is {:.1f} %, and the eight substeps take {:.0f} µs",
             lambda: [*deepest(**BY_MOTION), *deepest(dt=0.01), *deepest(dt=0.00125)],
         ),
     ],
@@ -674,7 +681,8 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     "appendix.md": [("training, on 1/{:.1f} of the states", lambda: [training_share()])],
     "benchmarks.md": [
         (
-            "with an energy at rest within {:.0e} m g r̄, and memory within {:.1f} MB",
+            "its energy rose by at most {:.0e} m g r̄, where m is the mass of the pile, and the memory of the process grew by at most "
+            "{:.1f} MB",
             lambda: [max(unit[name] for unit in stored("soak")["units"]) for name in ("energy", "memory_mb")],
         ),
     ],
@@ -736,7 +744,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     ],
     "thesis.md": [
         (
-            "Of {} claims that were tested {} hold, {} do not, {} are open, and {} hold at some sweeps only or lie within the noise",
+            "Of {} claims that were tested, {} hold, {} do not, {} are open, and {} hold at some sweeps only or lie within the noise",
             claims_counted,
         ),
         (
@@ -774,9 +782,10 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
         ("All its epochs are {:.0f} PFLOP, over a day {:.0f} % of the card's peak", training_work),
         (
-            "motion leaves the median contact an interval of {:.2f} times the mean λ_n. So in the worst case no network can promise an "
-            "error below {:.2f} of the mean λ_n. PGS from zero ends {:.2f} of it away from the run's impulses (Figure 6.15). In "
-            "settling piles of 100 circles that interval is at most {:.2f}",
+            "the interval of the median contact is {:.2f} times the mean λ_n. So in the worst case no network can promise an "
+            "error below {:.2f} of the mean λ_n. PGS from zero ends with impulses that are not those of the run: the λ_n of "
+            "the median contact is off by {:.2f} of the mean λ_n (Figure 6.15). In settling piles of 100 circles, the "
+            "interval of the median contact is at most {:.2f}",
             lambda: [*(width(scene="thesis", radii="1") / k for k in (1, 2)), elsewhere()[0], settling_width()],
         ),
         (
@@ -785,25 +794,27 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
         ("reach this θ within 20,000 sweeps: {} of {} from Copy, {} from Builtin, {} from", reached),
         ("five channels of input and {:,} weights", lambda: weights_of_thesis()[:1]),
-        ("It was shown 1/{:.1f} as many states", lambda: [training_share()]),
-        ("Its rate began at {:g}, as in Appendix B, where Table 5.2 has {:g}", first_rates),
+        ("It was shown 1/{:.1f} as many states as the network of the thesis", lambda: [training_share()]),
+        ("Its learning rate began at {:g}, as in Appendix B. In Table 5.2 the first learning rate is {:g}", first_rates),
         (
-            "Its grid values are off by {:.2f} of their size in twelve falling piles, and its λ at the contacts by {:.2f}, or by "
-            "{:.2f} if its image is read back as in their code. Builtin is off by {:.2f} and {:.2f}, zero by 1. The true image, "
-            "read back bilinearly, is off by {:.2f}",
+            "predicts are off by {:.2f}. Its λ at the contacts is off by {:.2f}, or by {:.2f} if its image is read back as in "
+            "the authors' code. Builtin is off by {:.2f} at the grid nodes and by {:.2f} at the contacts. Impulses of zero are "
+            "off by 1 at both. The image of the true solution, read back bilinearly, is off by {:.2f}",
             errors_of_images,
         ),
         (
-            "Its θ after 100 sweeps is {:.2f} of None's, or {:.2f} read as in their code (Figure 5.9)",
+            "predicts, θ is {:.2f} times the θ from None. If the image is read back as in the authors' code, θ is {:.2f} times "
+            "the θ from None (Figure 5.9)",
             lambda: [ratio_after("figure_5_9", f"{CNN}{read} is a start", 100)[0] for read in READ_NETWORK.values()],
         ),
         (
-            "With our consistent transfer, which loses {:.0e} at d = h = 0.5 m, it is faster than Builtin up to sweep {:,}",
+            "Our consistent transfer loses {:.0e} of a pile's impulses at d = h = 0.5 m. With this transfer the SPH start is "
+            "faster than Builtin up to sweep {:,}",
             lambda: [lost("pile, consistent"), *sweeps("figure_3_8", "with the consistent transfer SPH is faster than Builtin")[1:]],
         ),
-        ("Of {} claims on SPH that were judged both ways, {} have another verdict by spline", both_ways),
+        ("were used to judge {} claims on SPH. For {} of these claims the verdict by the spline differs", both_ways),
         (
-            "leaves {:.2f} of the θ of d = h = 0.5 m after 100 sweeps, with an interval of {:.2f} to {:.2f}",
+            "its θ after 100 sweeps is {:.2f} times the θ of d = h = 0.5 m, with an interval of {:.2f} to {:.2f}",
             lambda: ratio_after("figure_3_8", "the authors' setting", 100),
         ),
     ],
@@ -823,9 +834,10 @@ GIVEN: dict[str, list[str]] = {
         ),
         *("by at most 1 % of its initial value", "Δt is 10 ms", "below 3 % of a mean radius", "steps of 0.625 ms"),
         *("the lengths are 100 times these, and the speeds 10 times", "a thread works for 10 ms"),
-        *("a mean over 50 ms for circles", "over 5 ms for circles", "at each step of 10 ms or 1 ms"),
+        *("The window is 50 ms for circles of 1 m, and 5 ms for", "which is 10 ms for circles of 1 m, and 1 ms for"),
+        "were read every 50 ms",
     ],
-    "benchmarks.md": ["a velocity error of 0.1", "ω = 1.5", "61 × 61 nodes", "30 ns a contact and sweep"],
+    "benchmarks.md": ["a velocity error of 0.1", "of radii from 0.5 to 1.5 m", "ω = 1.5", "61 × 61 nodes", "30 ns a contact and sweep"],
     "guide.md": [
         *("0.01 s for r = 1 m", "takes 2.6 GB", "takes 0.6 GB"),
         *("about 1 ms of its own", "a scene took 10 ms", "a task of 10 s"),

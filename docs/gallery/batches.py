@@ -1,6 +1,8 @@
 """Trade the order of the contacts for speed.
 
-For large scenes: `BatchedPGS` relaxes eight contacts that share no circle at a time. The order of the contacts changes.
+For large scenes: `BatchedPGS` relaxes eight contacts at a time. No two of these eight share a circle. So `BatchedPGS`
+relaxes the contacts in another order than PGS, and its result differs. The program prints the time of a step with each
+solver, and how far their circles are apart after 40 steps.
 """
 
 import time

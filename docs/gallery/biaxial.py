@@ -1,9 +1,10 @@
 """Press and shear a packing between walls that carry a load: a biaxial test.
 
-For users of granular media: 400 discs without gravity, between two walls of the box and two segments that keep their
-pressures. The speed of a segment is proportional to the pressure that is missing, as in YADE's stress controller, with a
-second part that learns a steady speed. Five pressures compress the packing, one after the other. Then the upper segment
-comes down, and the right one keeps its pressure.
+For users of granular media: 400 discs lie without gravity between two walls of the box and two segments. Each segment
+presses on the discs, and keeps a given pressure. The speed of a segment has two parts. The first part is proportional
+to the pressure that is missing, as in YADE's stress controller. The second part learns the speed at which the segment
+travels steadily. Five pressures compress the packing, one after the other. Then the packing is sheared: the upper
+segment comes down at a constant strain rate, and the right segment keeps its pressure.
 """
 
 import numpy as np

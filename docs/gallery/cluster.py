@@ -1,8 +1,8 @@
 """Spread scenes over a cluster.
 
-For many runs: `jobs=` takes Dask's executor in place of a number of processes. The workers here are two processes of this
-machine, and one of them is killed on the way: Dask gives its scenes to the other, and no bit changes. A cluster of many
-machines is another address in `Client(…)`.
+For many runs: `jobs=` takes Dask's executor in place of a number of processes. The workers here are two processes of
+this machine. The program kills one of the workers. Dask then gives the scenes of that worker to the other worker, and
+no bit of the results changes. To use a cluster of many machines, pass the address of its scheduler to `Client(…)`.
 """
 
 import os
@@ -16,7 +16,8 @@ import deep_contact as dc
 if __name__ == "__main__":
     scenes = [dc.lattice_in_box(40, gap=0.05, seed=seed) for seed in range(60)]
 
-    # One thread a worker: a step of a scene is one thread, and processes share nothing that they would wait for.
+    # Each worker has one thread, since one thread does the steps of a scene. The workers are processes. They share
+    # nothing, so no worker waits for another.
     with (
         LocalCluster(
             n_workers=2, threads_per_worker=1, dashboard_address=None

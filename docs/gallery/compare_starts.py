@@ -1,9 +1,9 @@
 """Compare warm starts on the same states.
 
-For readers of the thesis: its experiment in short. A run is solved well, and every start then solves the same states
-again. Builtin takes the impulses of the step before, Copy takes the solution itself, Sph sends it through a grid
-image. Copy and Sph know the solution, so they show what a perfect prediction could give; they are no rivals in
-practice.
+For readers of the thesis: this is the experiment of the thesis in short. First, a run is solved well. Then its states
+are solved again from every start. Builtin takes the impulses of the step before. Copy takes the solution itself. Sph
+sends the solution through a grid image. Copy and Sph know the solution, so they show what a perfect prediction could
+give. In practice the solution is not known beforehand, so Copy and Sph are no rivals of Builtin.
 """
 
 import numpy as np

@@ -1,7 +1,8 @@
 """Make a data set, read it, and look at its images.
 
-For trainers: a simulation is written as one HDF5 file, every state with its solved impulses. A `Store` reads a folder
-of them, and `input_image` and `label_image` make the images that a network sees.
+For those who train networks: `write_simulation` writes a simulation as one HDF5 file, which has every state with its
+solved impulses. A `Store` reads a folder of such files. `input_image` makes the image that enters a network, and
+`label_image` makes the image that the network should predict.
 """
 
 import deep_contact as dc

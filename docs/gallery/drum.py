@@ -1,8 +1,9 @@
 """Turn a drum.
 
-For users of granular media: a polygon of static segments whose surface moves. The angle is that of the centre of all
-circles, seen from the drum's axis, against straight down: the surface of the heap is tilted by as much. It follows the
-Froude number ω² R / g.
+For users of granular media: the drum is a polygon of segments. The segments stay in place, and their surfaces move. The
+program prints an angle: that between straight down and the line from the drum's axis to the centre of all circles. The
+surface of the heap is tilted by the same angle. The angle follows the Froude number ω² R / g, with the angular velocity
+ω and the radius R of the drum.
 """
 
 import math

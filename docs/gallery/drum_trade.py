@@ -1,7 +1,9 @@
 """What does a setting make of the angle of a drum's surface?
 
-For users of granular media: the angle of the centre of all circles, seen from the drum's axis, against straight down.
-Its error is that of the mean curve over seeds; "angle spread" is how far the distributions over seeds lie apart.
+For users of granular media: a setting is a solver with its options. The angle is that between straight down and the
+line from the drum's axis to the centre of all circles. The error "angle" is the error of the mean curve over seeds. The
+error "angle spread" is the distance between two distributions over seeds: that of the setting, and that of the
+reference.
 """
 
 import math

@@ -1,8 +1,9 @@
 """Measure a hopper that feeds a belt.
 
-For users of granular media: a funnel of 40 segments above a belt, with circles of mixed radii. Forces, a page that plays, the
-load on the belt over time, neighbours, circles that are added, a stop, error bars over seeds, a file, and a run that
-goes on from it: what the recipes have, in one program.
+For users of granular media: circles of mixed radii fall through a funnel of 40 segments onto a belt. This program has
+in one place what the recipes have. It writes a page that plays the run, and reads forces, neighbours, and the load on
+the belt over time. It adds circles, and stops a run by a condition. It writes a state to a file, and a run goes on from
+this file. Runs with several seeds give the load its standard error.
 """
 
 import numpy as np

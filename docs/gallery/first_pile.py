@@ -1,7 +1,8 @@
 """Drop a pile and watch the solver work.
 
-For engine builders: the smallest useful program. It drops 60 circles into a box, solves 200 steps, and reads what
-each step cost. `on_step` is called after every step with the solved state and the record of its sweeps.
+For engine builders: this is the smallest useful program. It drops 60 circles into a box, solves 200 steps, and reads
+how many sweeps each step took. `on_step` is called after every step, with the solved state and the record of its
+sweeps.
 """
 
 import numpy as np

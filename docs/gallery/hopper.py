@@ -1,7 +1,8 @@
 """Let a hopper run out.
 
-For users of granular media: a funnel of two static segments beside the box. How fast it empties follows the width of
-the hole; a narrow one is blocked by an arch (Beverloo's law has no flow below a few diameters).
+For users of granular media: the funnel is two segments that stand still in the box. The wider the hole, the faster the
+hopper runs out. A narrow hole is blocked by an arch of circles. (By Beverloo's law there is no flow through a hole
+below a few diameters.)
 """
 
 import deep_contact as dc

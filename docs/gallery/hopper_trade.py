@@ -1,7 +1,8 @@
 """What does a setting make of a hopper's discharge?
 
-For users of granular media: the number that counts is how many circles a second fall through the hole. The trade is
-measured on this hopper, by this number, and the cheapest setting that keeps it runs on.
+For users of granular media: a setting is a solver with its options. The number that counts here is the discharge: how
+many circles a second fall through the hole. The trade is the cost of each setting against its error of this number,
+measured on this hopper. `trade.choose` returns the solver of the cheapest setting whose error is within a tolerance.
 """
 
 import deep_contact as dc

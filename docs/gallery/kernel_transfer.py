@@ -1,9 +1,10 @@
 """Send impulses through a grid image and read them back.
 
-For kernel researchers: `splat` spreads the values of points over the nodes of a grid, `gather` reads an image at
-points. As Algorithm 4 prints it, the round trip loses a part of the impulses. Divided by the same round trip of a
-field of ones (`density`), it returns an isolated contact exactly. Read back with the splat's own weights it is the
-sibling theses' way.
+For kernel researchers: `splat` spreads the values of points over the nodes of a grid, and `gather` reads an image at
+points. A splat and a gather together are a round trip. Three of them are compared. "bilinear" interpolates between the
+four nodes around a point (equation 3.16), and loses a part of the impulses. "SPH weights" reads the image back with the
+weights of the splat. "consistent" divides the bilinear round trip by the same round trip of a field of ones
+(`density`). It returns the impulse of an isolated contact exactly.
 """
 
 from typing import Any

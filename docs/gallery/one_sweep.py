@@ -1,7 +1,8 @@
 """When is one sweep enough?
 
-For those who care for speed: in a thin gas circles meet in pairs, and one sweep solves a pair. The trade says
-so: ten get the gas no better, and a pile much.
+For those who care for speed: in a thin gas circles meet in pairs, and one sweep solves a pair. In a pile each circle
+has several contacts, and one sweep does not solve them together. The trades of both scenes show this. Ten sweeps leave
+no smaller errors than one sweep in the gas, and much smaller errors in the pile.
 """
 
 import deep_contact as dc

@@ -1,8 +1,8 @@
 """Simulate circles of your own, from NumPy arrays.
 
-For whoever has positions from a program, a measurement or an idea: a state is a world and its bodies. Here 120 circles
-of three sizes fall in two jets onto a ramp. What is not given has a default; what is given wrongly gets a sentence that
-names the field and the value.
+For those who have positions from a program, a measurement or an idea: a state is a world and its bodies. Here 120
+circles of three sizes fall in two jets onto a ramp. Each argument that is left out has a default. An argument with a
+wrong value raises an error, whose message names the field and the value.
 """
 
 import numpy as np
@@ -29,7 +29,7 @@ print(dc.recommend(scene, accuracy="fast"))
 print(run)
 
 run.trajectory.film("own_scene.html", colour=[jet] * len(run.trajectory))
-# In a notebook, `run.trajectory` as the last line of a cell plays.
+# In a notebook, `run.trajectory` as the last line of a cell plays the run.
 figure, axes = dc.plotting.subplots(1, 3)
 for ax, i in zip(axes, (0, 25, -1)):
     state = run.trajectory[i]

@@ -1,7 +1,8 @@
 """Write a solver of your own.
 
-For solver researchers: a loop over the rows of the contacts, its options, and a registration. This one sweeps twice
-where PGS sweeps once. From here on states, files and studies take it as they take those of the package.
+For solver researchers: a solver is a loop over the rows of the contacts, its options, and a registration. The solver
+`Twice` of this program sweeps twice where PGS sweeps once. Once it is registered, states, files and studies take
+`Twice` as they take the solvers of the package.
 """
 
 from dataclasses import dataclass

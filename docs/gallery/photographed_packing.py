@@ -1,10 +1,13 @@
 """Draw the forces of a packing from the positions of its circles.
 
-For those who have a photograph of discs, or positions from another program: no impulses of a step before are known.
-The start "far field, no past" reads them off the positions, and some sweeps solve them. Noise of the positions opens
-contacts, so radii are enlarged by twice the noise before contacts are looked for. With friction a packing has many
-admissible forces, so even exact positions do not give back those of its history: the last column is the interval that
-is open to the force of the median contact (`dc.force_bounds`, of every 25th), over the mean force.
+For those who have a photograph of discs, or positions from another program: no impulses of a step before are known. The
+start "far field, no past" estimates the impulses from the positions. Sweeps of the solver then correct them. Noise in
+the positions opens contacts, so all radii are enlarged by twice the noise before contacts are looked for.
+
+With friction, many sets of contact forces are admissible in a packing. So even exact positions do not give back the
+forces that the history of the packing has left. The last column of the table says how much is open: it is the length of
+the interval that is open to the force of the median contact, over the mean force. `dc.force_bounds` computes these
+intervals, here for every 25th contact.
 """
 
 import numpy as np

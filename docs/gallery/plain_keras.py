@@ -1,7 +1,8 @@
 """Put any Keras model between a state and its impulses.
 
-For those who train by themselves: a `LearnedModel` is a Keras model and the description of its images. `input` makes
-the image of a state, the model is called as always, and `impulses` reads what it gave at the contacts.
+For those who train networks of their own: a `LearnedModel` is a Keras model and the description of its images. `input`
+makes the image of a state. Then the Keras model is called with this image, as any Keras model is. `impulses` reads the
+output image of the model at the contacts, and returns the impulses.
 """
 
 import deep_contact as dc
@@ -23,7 +24,7 @@ state = dc.read_state(dc.sample_file("impact_154"))
 net = LearnedModel(source=mine, spec=ImageSpec())
 x = net.input(state)  # (61, 61, 5)
 y = mine(x[None])  # (1, 61, 61, 2)
-# one of each a contact, N·s, within the friction cone
+# λ_n and λ_t of each contact, N·s, within the friction cone
 normal, tangent = net.impulses(state, y)
 print(f"image {x.shape}, output {tuple(y.shape)}, {normal.size} contacts")
 

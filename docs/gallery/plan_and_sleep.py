@@ -1,7 +1,8 @@
 """Leave out what a scene does not need.
 
-For engine builders: `dc.plan` says which parts of the model a run uses, which it leaves out, and why.
-With `sleep=True` heaps that rest are left alone; with `islands=True` each heap stops on its own.
+For engine builders: `dc.plan` says which parts of the model a run uses, which parts it leaves out, and why. With
+`sleep=True`, heaps that rest are not solved. With `islands=True`, the sweeps of each heap stop on their own, when this
+heap is solved.
 """
 
 import time

@@ -1,7 +1,8 @@
 """Load model.h5 and predict the impulses of a state.
 
-For those who want the network: `dc.load_model()` reads the file that is shipped (no code in it is run), `predict`
-returns one normal and one tangent impulse for each contact, within the friction cone, and the solver starts from them.
+For those who want the network: `dc.load_model()` reads the file `models/model.h5`, which is shipped. No code in this
+file is run. `predict` returns one normal and one tangent impulse for each contact, within the friction cone. The solver
+then starts from these impulses.
 """
 
 import deep_contact as dc
@@ -10,7 +11,7 @@ from deep_contact.cnn.evaluation import velocity_errors
 # a solved state of a simulation that no training has seen
 state = dc.read_state(dc.sample_file("impact_253"))
 contacts = state.contacts
-assert contacts is not None  # as in the file of a scene
+assert contacts is not None  # the file of an unsolved scene may have none
 model = dc.load_model()
 normal, tangent = model.predict(state)
 print(

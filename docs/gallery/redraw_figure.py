@@ -1,7 +1,8 @@
 """Make a figure, and draw it again from its stored numbers.
 
-For those who need a figure: each figure of the thesis is one script with its number. With `--replot` it draws what is
-stored, without computing anything. The numbers are plain JSON, so a picture of your own takes a few lines.
+For those who need a figure: each figure of the thesis is made by one script, which has the number of the figure. With
+`--replot` the script draws the stored numbers, and computes nothing. The stored numbers are plain JSON, so a picture of
+your own takes a few lines.
 """
 
 import subprocess

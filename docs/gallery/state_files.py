@@ -1,7 +1,7 @@
 """Write a state, read it back, and go on bit for bit.
 
-For engine builders: a state file (XML, readable by any tool) holds the bodies, the contacts and the impulses. A run
-that goes on from a file gives the same bits as a run that never stopped.
+For engine builders: a state file holds the bodies, the contacts and the impulses. It is XML, so any tool can read it. A
+run that goes on from a file gives the same bits as a run that never stopped.
 """
 
 from pathlib import Path

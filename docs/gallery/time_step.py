@@ -1,8 +1,8 @@
 """Trade the time step for penetration.
 
-For engine builders: the same pile falls for two seconds with four time steps, 10 sweeps a step. A smaller time step
-costs more steps and leaves less overlap. Overlap is given in slops of 5 mm, which position correction leaves on
-purpose.
+For engine builders: the same pile falls for two seconds with each of four time steps, with 10 sweeps a step. A smaller
+time step costs more steps and leaves less overlap. The unit of the overlap is the slop, here 5 mm. The slop is the
+overlap that position correction leaves on purpose.
 """
 
 import time

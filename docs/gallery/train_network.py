@@ -1,8 +1,8 @@
 """Train a tiny network.
 
-For trainers: four short simulations, a network of a few thousand weights, two epochs. The same call with the
-settings of `models/README.md` makes the network that is shipped. A run that is stopped goes on when it is started
-again.
+For those who train networks: the program makes four short simulations, and trains a network of a few thousand weights
+for two epochs. The same call with the settings of `models/README.md` makes the networks that are shipped. If a training
+is stopped, start the program again: the training then goes on.
 """
 
 import deep_contact as dc
