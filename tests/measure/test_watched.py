@@ -70,17 +70,21 @@ def test_the_parts_into_which_motion_divides_a_step_are_seen():
 @pytest.mark.parametrize("substeps", [1, 2])
 def test_the_deepest_penetration_is_that_of_single_steps(solver, substeps):
     scene, solver = dc.circles_in_box(30, seed=4), solver.__class__(sweeps=10, tolerance=None, substeps=substeps)
-    seen = list(readings_of(scene, setting_of(solver, 0.01), 20, INTERVAL))
+    seen = list(readings_of(scene, setting_of(solver, 0.01), 50, INTERVAL))
     state, alone = scene.replace(dt=0.01 / substeps), solver.__class__(sweeps=10, tolerance=None)
-    depth = 0.0
+    last, hidden = 0.0, 0
     for reading in seen:
+        depths, contacts = [last], [0]
         for _ in range(5 * substeps):
             state = dc.simulate(state, steps=1, solver=alone).state
-            depth = max(depth, -state.contacts.separation.min(initial=0.0))
-        assert reading.deepest == pytest.approx(depth, rel=1e-9)
+            depths.append(max(0.0, -state.contacts.separation.min(initial=0.0)))
+            contacts.append(int(np.argmin(state.contacts.separation)) if state.contacts.count else 0)
+        assert reading.deepest == pytest.approx(max(depths), rel=1e-9)
         np.testing.assert_array_equal(reading.state.bodies.position, state.bodies.position)
-        depth = max(0.0, -state.contacts.separation.min(initial=0.0))
-    assert seen[-1].deepest > 0
+        # Deeper than at both readings, and not at the first contact of a step.
+        hidden += max(depths) > max(last, depths[-1]) and contacts[int(np.argmax(depths))] > 0
+        last = depths[-1]
+    assert hidden > 2
 
 
 @pytest.mark.parametrize("solver", [pgs(), dc.BatchedPGS(sweeps=10, tolerance=None, most_substeps=8)])
