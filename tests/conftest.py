@@ -60,8 +60,8 @@ def pytest_collection_modifyitems(items):
 
     items.sort(key=place)
     for item in items:
-        of = item.path.relative_to(Path(__file__).parent).as_posix(), getattr(item, "callspec", None)
-        if of[0].startswith(SELDOM) and of[1] and "NesterovPGS" in of[1].id:
+        is_seldom = item.path.relative_to(Path(__file__).parent).as_posix().startswith(SELDOM)
+        if is_seldom and hasattr(item, "callspec") and "NesterovPGS" in item.callspec.id:
             item.add_marker(pytest.mark.slow)
 
 
