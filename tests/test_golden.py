@@ -12,6 +12,8 @@ golden = load_script("golden")
 SCENES, SOLVERS = ("frictionless", "elastic", "gas", "drum", "hopper"), ("islands", "NesterovPGS", "NNCG")
 RARE = {f"{scene}, {solver}" for scene, solver in product(SCENES, SOLVERS)} | {
     "frictionless, PSOR",
+    "frictionless, motion",
+    "elastic, PSOR",
     "row, islands, sleep",
     "pile, NesterovPGS",
 }

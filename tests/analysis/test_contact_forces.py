@@ -33,7 +33,10 @@ def scene(kind, seed):
     return circles_at(position, box=(0.0, 0.0, 12.0, 14.0), **bodies, **world), dc.PGS(sweeps=12, **solver)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "divided by motion"])
+UNDIVIDED = ["walls", "segments", "belts", "rebounds", "frictionless", "substeps"]
+
+
+@pytest.mark.parametrize("kind", [*UNDIVIDED, pytest.param("islands", marks=pytest.mark.slow)])
 def test_net_forces_and_torques_are_changes_of_momentum(kind):
     """F = m Δv / Δt − m g and τ = I Δω / Δt of 29 states of each kind, over whole steps."""
     for seed in range(29):

@@ -25,6 +25,8 @@ ALONE = {
     "behaviour/test_random_scenes.py": "not (4 or 5)",
     "behaviour/test_cooling_gas.py": "not haffs",
     "stepping/test_interface.py": "from_outside",
+    "stepping/test_sleeping.py": "push or torque",
+    "state/test_materials.py": "added",
 }
 """File -> tests whose kinds of steps no other test compiles: without large piles, and without most of BatchedPGS."""
 

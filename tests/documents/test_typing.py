@@ -42,6 +42,7 @@ def blocks(page):
     return "\n".join(re.findall(r"^```python\n(.*?)^```", (ROOT / page).read_text(encoding="utf-8"), re.M | re.S))
 
 
+@pytest.mark.slow  # tests/tools/check_wheel.sh has two type checkers read a program of a user
 def test_the_examples_pass_a_type_checker_and_mistakes_do_not(tmp_path):
     for example in (ROOT / "docs" / "gallery").glob("*.py"):
         shutil.copy(example, tmp_path)

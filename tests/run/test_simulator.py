@@ -131,8 +131,17 @@ SMALL = {
 """What changes by little -> the k-th change."""
 
 
-@pytest.mark.parametrize("how", [{"solver": dc.PGS()}, {"solver": dc.BatchedPGS(sweeps=8)}, {"accuracy": "fast"}])
-@pytest.mark.parametrize("name", SMALL)
+def batched(**how):
+    """A way to solve that is a slow test where circles are pushed: no other test compiles that."""
+    return [pytest.param(name, how, marks=[pytest.mark.slow] * ("push" in SMALL[name](0))) for name in SMALL]
+
+
+@pytest.mark.parametrize(
+    ("name", "how"),
+    [(name, {"solver": dc.PGS()}) for name in SMALL]
+    + batched(solver=dc.BatchedPGS(sweeps=8))
+    + batched(accuracy="fast"),
+)
 def test_small_changes_are_set_in_place_with_the_bits_of_changed_states(name, how):
     """PGS() ends its sweeps at a tolerance that follows gravity."""
     scene = dc.column(4, friction=0.4)

@@ -136,6 +136,7 @@ def test_a_damaged_file_is_refused(old, new):
         parse_state(text.replace(old, new, 1).encode(), "x")
 
 
+@pytest.mark.slow  # a kind of step of its own; test_without_compiler.py runs it interpreted
 def test_added_circles_bring_their_materials():
     state = scene().with_bodies(remove=[0], add=dc.make_bodies([[15.0, 5.0]], material=2))
     np.testing.assert_array_equal(state.bodies.material, [1, 2, 2])

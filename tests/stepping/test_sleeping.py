@@ -12,6 +12,8 @@ from deep_contact.stepping.sleeping import make_sleep_memory, wake_and_put_to_sl
 
 RESTING = dc.PGS(sweeps=200, tolerance=1e-9)
 
+pushes_and_sleeps = pytest.mark.slow  # a kind of step of its own; test_without_compiler.py runs it interpreted
+
 
 def test_a_resting_column_falls_asleep_after_half_a_second():
     # Box2D: a step whose circles are still adds Δt; at 0.5 s they sleep, so 50 steps of 0.01 s are solved (51 if 50
@@ -70,6 +72,7 @@ def test_nothing_falls_asleep_in_flight():
     np.testing.assert_allclose(run.state.bodies.position[0, 1], 1.01, atol=0.01)
 
 
+@pushes_and_sleeps
 def test_a_push_wakes_the_whole_island_when_it_comes_and_when_it_goes():
     # Two circles on top of each other and one beside them sleep. From 1 s to 2 s the upper one is lifted, by less than
     # its weight: the two stay where they are, and are solved for half a second after each change.
@@ -82,6 +85,7 @@ def test_a_push_wakes_the_whole_island_when_it_comes_and_when_it_goes():
         np.testing.assert_array_equal(contacts[change : change + 50], 2)
 
 
+@pushes_and_sleeps
 @pytest.mark.parametrize("push", [([[0.0, 50.0]], [0.0]), ([[0.0, 0.0]], [5.0])])
 def test_a_force_or_a_torque_wakes_as_it_moves_who_is_awake(push):
     runs = []
@@ -93,6 +97,7 @@ def test_a_force_or_a_torque_wakes_as_it_moves_who_is_awake(push):
     np.testing.assert_allclose(runs[1].velocity, runs[0].velocity, atol=1e-6)
 
 
+@pushes_and_sleeps
 def test_who_sleeps_under_a_push_that_stays_sleeps_on():
     # A drag of what is still is 0, to rounding: it wakes nobody.
     scene, weight = dc.column(3), np.full((3, 2), [0.0, -5.0])
@@ -203,6 +208,7 @@ def test_who_sleeps_wakes_when_what_moves_comes_and_goes_with_it(kind):
     assert run.positions[0, 0] == pytest.approx(ahead, abs=0.03)
 
 
+@pushes_and_sleeps
 @pytest.mark.parametrize(
     "change", [{"gravity": (3.0, -9.0)}, {"push": np.full((4, 2), [0.0, 40.0])}, {"friction": 0.4}]
 )
