@@ -16,6 +16,7 @@ RARE = {f"{scene}, {solver}" for scene, solver in product(SCENES, SOLVERS)} | {
     "elastic, PSOR",
     "row, islands, sleep",
     "pile, NesterovPGS",
+    "pile, motion of substeps",
 }
 """Runs whose kinds no other test compiles, which takes ten seconds each."""
 

@@ -7,8 +7,11 @@ from conftest import ROOT, TOOLS, run_python
 from deep_contact.solvers import METHODS
 
 RUNS = {
-    "solvers": [f"pile, {name}" for name in (*METHODS, "two ω", "motion")],
-    "what scenes have": ["frictionless, PGS", "elastic, PGS", "terrain, PGS", "fast, PGS", "drum, islands"],
+    "solvers": [f"pile, {name}" for name in (*METHODS, "two ω", "motion", "motion of substeps")],
+    "what scenes have": [
+        *("frictionless, PGS", "frictionless, motion", "elastic, PGS", "elastic, PSOR"),
+        *("terrain, PGS", "fast, PGS", "drum, islands"),
+    ],
     "starts and sleep": ["row, PGS, sleep", *(f"start, {name}" for name in ("none", "copy", "scaled", "sph"))],
 }
 
