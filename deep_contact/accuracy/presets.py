@@ -47,16 +47,16 @@ class MeasuredAccuracy(Protocol):
 
 
 PRESETS: dict[str, dict[str, float]] = {
-    "preview": {"energy": 25, "height": 5, "creep": 5, "penetration": 1, "penetration_95": 2.5, "penetration_max": 40,
-                "restlessness": 12, "contacts": 0.7, "forces": 40, "impact": 35},
-    "fast": {"energy": 12, "height": 3, "creep": 3, "penetration": 0.6, "penetration_95": 1, "penetration_max": 12,
-             "restlessness": 8, "contacts": 0.6, "forces": 35, "impact": 30},
+    "preview": {"energy": 25, "height": 5, "creep": 4, "penetration": 1, "penetration_95": 2.5, "penetration_max": 40,
+                "restlessness": 12, "contacts": 0.7, "forces": 30, "impact": 35},
+    "fast": {"energy": 12, "height": 3, "creep": 2, "penetration": 0.6, "penetration_95": 1, "penetration_max": 12,
+             "restlessness": 8, "contacts": 0.6, "forces": 30, "impact": 30},
     "balanced": {"energy": 8, "height": 2, "creep": 2, "penetration": 0.35, "penetration_95": 0.6,
                  "penetration_max": 8, "restlessness": 6, "contacts": 0.5, "forces": 30, "impact": 30},
     "accurate": {"energy": 6, "height": 2, "creep": 2, "penetration": 0.2, "penetration_95": 0.5,
-                 "penetration_max": 5, "restlessness": 5, "contacts": 0.35, "forces": 25, "impact": 25},
-    "reference": {"energy": 4, "height": 2, "creep": 2, "penetration": 0.12, "penetration_95": 0.4,
-                  "penetration_max": 3, "restlessness": 5, "contacts": 0.2, "forces": 12, "impact": 20},
+                 "penetration_max": 5, "restlessness": 5, "contacts": 0.35, "forces": 20, "impact": 25},
+    "reference": {"energy": 4, "height": 2, "creep": 1.5, "penetration": 0.12, "penetration_95": 0.4,
+                  "penetration_max": 3, "restlessness": 5, "contacts": 0.2, "forces": 10, "impact": 20},
 }  # fmt: skip
 """Name of a preset -> tolerance of each error, in %; "contacts" is in contacts per circle.
 
