@@ -63,7 +63,7 @@ def draw(data, options):
     figure, panels = plotting.subplots(len(SHOWN), len(sizes), size=size, squeeze=False, sharey="row")
     for ax, (name, n) in zip(panels.flat, product(SHOWN, sizes)):
         trade.draw_plane(ax, [row for row in data["rows"] if row["n_bodies"] == n], name, names=n == sizes[-1])
-        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if n < 10_000 else (1.0,)))
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if n < 1000 else (1.0,)))
     for top, bottom, n in zip(panels[0], panels[-1], sizes):
         top.set_title(f"{n:,} circles")
         bottom.set_xlabel("computing time\nof 10 ms (µs)")
