@@ -83,7 +83,7 @@ def draw(data, options):
         plotting.log_axes(ax)
     for ax in panels[1]:
         ax.set_xlabel("time step Δt (s)")
-    return plotting.legend_below(figure, panels[0, 0], "How far from the reference is a run, by its time step?")
+    return plotting.legend_below(figure, panels[0, 0], "How far from the reference is a run, by its time step?", rows=2)
 
 
 FIGURE = Figure("6.2", "The limit of small steps", compute, table, draw, claims, options=runs.RESULTS)

@@ -204,15 +204,15 @@ def band(ax, x, middle, low, high, **look) -> None:
     ax.fill_between(x, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
 
 
-def legend_below(figure, ax, title: str = ""):
-    """Add the legend of `ax` in a row below all panels, and the title above them. Returns the figure.
+def legend_below(figure, ax, title: str = "", *, rows: int = 1):
+    """Add the legend of `ax` below all panels, in this number of rows, and the title above them. Returns the figure.
 
     Without `title` no title is set.
     """
     if title:
         figure.suptitle(title, fontsize=10)
     handles, labels = ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    figure.legend(handles, labels, loc="outside lower center", ncols=-(-len(labels) // rows))
     return figure
 
 
