@@ -131,16 +131,16 @@ SMALL = {
 """What changes by little -> the k-th change."""
 
 
-def batched(**how):
-    """A way to solve that is a slow test where circles are pushed: no other test compiles that."""
+def slow_if_pushed(**how):
+    """All small changes with a way to solve. Pushes are slow tests, for no other test compiles them with it."""
     return [pytest.param(name, how, marks=[pytest.mark.slow] * ("push" in SMALL[name](0))) for name in SMALL]
 
 
 @pytest.mark.parametrize(
     ("name", "how"),
     [(name, {"solver": dc.PGS()}) for name in SMALL]
-    + batched(solver=dc.BatchedPGS(sweeps=8))
-    + batched(accuracy="fast"),
+    + slow_if_pushed(solver=dc.BatchedPGS(sweeps=8))
+    + slow_if_pushed(accuracy="fast"),
 )
 def test_small_changes_are_set_in_place_with_the_bits_of_changed_states(name, how):
     """PGS() ends its sweeps at a tolerance that follows gravity."""
