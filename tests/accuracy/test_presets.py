@@ -59,6 +59,14 @@ def test_the_cheapest_setting_that_keeps_the_preset_is_chosen(study):
     np.testing.assert_allclose(found.us, 50.0)
 
 
+def test_a_margin_costs_at_most_twice():
+    costs_and_errors = (1.0, 8.6), (2.0, 8.5), (2.1, 1.0)
+    near, safe, dear = ({"us": us, "errors": {"energy": error}} for us, error in costs_and_errors)
+    for settings, best in (([near, safe, dear], safe), ([near, dear], near), ([dear], dear)):
+        assert presets.cheapest(settings, {"energy": 10.0}) is best
+    assert presets.keeping([near, safe, dear], {"energy": 10.0}, margin=False) == [near, safe, dear]
+
+
 def test_a_simulation_without_a_solver_takes_fast(study):
     scene = dc.circles_in_box(40, seed=1)
     run = dc.simulate(scene, steps=60)
@@ -318,6 +326,8 @@ def test_what_stands_higher_than_it_can_lie_is_a_dam(aspect, room, is_dam):
 def test_a_run_solved_to_a_tolerance_says_so_once_with_the_price_and_a_plan_prints_it():
     scene = dc.column(120, width=3.0)
     with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("ignore")
+        dc.simulate(scene, steps=1)  # a compiler that warns makes Python forget what has been said
         warnings.simplefilter("default")
         for _ in range(2):
             dc.simulate(scene, steps=1)
