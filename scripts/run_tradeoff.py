@@ -1,7 +1,8 @@
 """python scripts/run_tradeoff.py: the study of errors against times in runs, for our settings and other engines.
 
 This script has lists of scenes and settings. `studies.runs` simulates them, and measures errors and times. The results
-of finished runs are stored in the work folder, so that an interrupted study of one commit can be resumed. First,
+of finished runs are stored in the work folder, so that an interrupted study of one commit can be resumed. After a
+change that leaves all bits of runs as they are, `--set earlier=COMMIT` takes over the runs of that commit. First,
 several processes compute the errors. Then one process measures the times, on a machine that runs nothing else;
 `--set timed=false` leaves the times out. `--install` alone measures the errors of the stored settings in motions with a
 known result, and writes the table of settings that `dc.simulate` and `dc.recommend` read. `--tolerances` proposes
@@ -54,9 +55,21 @@ PSOR = {"method": "PSOR", "omega": 1.3}
 COLOURS = {"method": "BatchedPGS"}
 FEW = {"position_sweeps": 3}
 NEAR = {"approach": 0.015}
-HALF, QUARTER = (2, 16, 0.25), (4, 32, 0.25)
+HALF, QUARTER, EIGHTH = (2, 16, 0.25), (4, 32, 0.25), (8, 32, 0.25)
+
+FINER = [
+    *settings({EIGHTH: (5,), (16, 64, 0.25): (2,)}, **COLOURS, **FEW),
+    *settings({(2, 32, 0.1): (10,), (4, 32, 0.1): (5,), EIGHTH: (3,)}, **COLOURS, **NEAR),
+    *settings({(16, 32, 0.25): (1,)}, **PGS),
+    *settings({(16, 32, 0.25): (1,)}, **PGS, **FEW),
+]
+"""Settings with few sweeps in small time steps, for the preset with the smallest tolerances.
+
+Other engines have such settings, too.
+"""
 
 SMALL = [
+    *FINER,
     *settings({1: (4,), 2: (3,), 4: (2,), (1, 4, 1.0): (4,), (1, 8, 0.25): (6,)}, **PGS),
     *settings({HALF: (3, 4), (4, 16, 0.25): (2,), QUARTER: (4,)}, **PGS),
     *settings({1: (4,), 2: (3,), 4: (2,)}, **PGS, **FEW),
@@ -88,14 +101,14 @@ DENSE = [
     *settings({(1, 8, 0.25): (10,), HALF: (10,)}, **COLOURS),
     *settings({1: (10, 20), 2: (5, 10, 20), 4: (10,), (1, 8, 0.5): (10,)}, **COLOURS, **FEW),
     *settings({HALF: (10, 20, 40), QUARTER: (10, 20, 40)}, **COLOURS, **FEW),
-    *settings({HALF: (20,), QUARTER: (20, 40), (8, 32, 0.25): (10,)}, **COLOURS, **NEAR),
+    *settings({HALF: (20,), QUARTER: (20, 40), EIGHTH: (10,)}, **COLOURS, **NEAR),
 ]
 """Settings for `DENSE_KINDS`, with more sweeps in more sub-steps."""
 
 DENSE_LARGE = [
     *settings({1: (10, 20), 2: (10, 20), 4: (10, 20), 8: (10, 20, 40)}, **COLOURS, **FEW),
-    *settings({HALF: (10, 20), QUARTER: (5, 10, 20, 40), (8, 32, 0.25): (20,)}, **COLOURS, **FEW),
-    *settings({HALF: (20,), QUARTER: (20, 40), (8, 32, 0.25): (10, 40)}, **COLOURS, **NEAR),
+    *settings({HALF: (10, 20), QUARTER: (5, 10, 20, 40), EIGHTH: (20,)}, **COLOURS, **FEW),
+    *settings({HALF: (20,), QUARTER: (20, 40), EIGHTH: (10, 40)}, **COLOURS, **NEAR),
 ]
 """Settings for `DENSE_KINDS` with 3,000 circles."""
 
@@ -108,7 +121,7 @@ LARGEST = [
 
 DENSE_LARGEST = [
     *settings({2: (20,), 4: (10, 20), 8: (20,), QUARTER: (10, 20)}, **COLOURS, **FEW),
-    *settings({QUARTER: (20,), (8, 32, 0.25): (10, 40)}, **COLOURS, **NEAR),
+    *settings({QUARTER: (20,), EIGHTH: (10, 40)}, **COLOURS, **NEAR),
 ]
 """Settings for `DENSE_KINDS` with 10,000 circles, chosen from `DENSE_LARGE` as `LARGEST` is from `LARGE`."""
 
@@ -138,13 +151,16 @@ BY_POSITIONS = {1: (4, 10, 20, 30), 2: (2, 4, 6, 10), 4: (1, 2, 4), 8: (1, 2)}
 BY_STIFFNESS = {1: (1, 2, 4, 6, 8), 2: (1, 2, 4), 4: (1, 2), 8: (1,)}
 PEERS = [
     *settings(BY_SLOP, **PYMUNK),
-    *settings(BY_SLOP, **PYMUNK, slop=0.25),
+    *settings(BY_SLOP | {8: (1, 2, 4), 16: (1, 2)}, **PYMUNK, slop=0.25),
     *settings({1: (10,), 2: (4,), 4: (2,)}, **PYMUNK, bias=0.1),
     *settings({1: (4, 10), 2: (2, 4), 4: (1, 2)}, **PYMUNK, bias=0.4),
     *(one for most in (1, 3) for one in settings(BY_POSITIONS, **BOX2D, position_sweeps=most)),
+    *settings({8: (4,), 16: (1, 2)}, **BOX2D, position_sweeps=3),
     *settings(BY_POSITIONS, **BOX2D),
     *settings(BY_STIFFNESS, **BOX2D_V3),
     *(one for hertz in (60.0, 120.0) for one in settings(BY_STIFFNESS, **BOX2D_V3, hertz=hertz)),
+    *settings({4: (4,), 8: (2,), 16: (1,)}, **BOX2D_V3, hertz=120.0),
+    *settings({4: (4,), 8: (2,), 16: (1,)}, **BOX2D_V3, hertz=240.0),
 ]
 """Settings of other engines, with several numbers of iterations and time steps.
 
@@ -157,11 +173,11 @@ LARGE_PEERS = [
     *settings({1: (10,), 2: (4,)}, **PYMUNK, bias=0.4),
     *settings({2: (4,)}, **PYMUNK, bias=0.1),
     *settings({1: (10,), 2: (4,)}, **BOX2D, position_sweeps=1),
-    *settings({1: (10,), 2: (4, 10), 4: (2, 4)}, **BOX2D, position_sweeps=3),
+    *settings({1: (10,), 2: (4, 10), 4: (2, 4), 8: (2,)}, **BOX2D, position_sweeps=3),
     *settings({1: (10,), 2: (4, 6), 4: (2,)}, **BOX2D),
     *settings({1: (4, 6), 2: (4,)}, **BOX2D_V3, hertz=60.0),
     *settings({1: (6, 8), 2: (2, 4), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
-    *settings({2: (8,), 4: (4,)}, **BOX2D_V3, hertz=240.0),
+    *settings({2: (8,), 4: (4, 8)}, **BOX2D_V3, hertz=240.0),
 ]
 """Settings of other engines for 3,000 circles.
 
@@ -169,7 +185,7 @@ They are those of `PEERS` that took the least time for a preset with 1,000 circl
 """
 
 LARGEST_PEERS = [
-    *settings({1: (4, 6, 10, 20), 2: (4, 6, 10), 4: (2, 4)}, **PYMUNK, slop=0.25),
+    *settings({1: (4, 6, 10, 20), 2: (4, 6, 10), 4: (2, 4), 8: (4,)}, **PYMUNK, slop=0.25),
     *settings({1: (4, 6, 10), 2: (4,), 4: (4,)}, **PYMUNK),
     *settings({1: (10,)}, **PYMUNK, bias=0.4),
     *(one for one in LARGE_PEERS if one["engine"] != "pymunk"),
@@ -180,12 +196,30 @@ For both versions of Box2D they are all of `LARGE_PEERS`. For pymunk they are th
 circles. Each engine has more settings than `LARGEST` has for this package.
 """
 
+FINER_LARGE = [
+    *settings({(2, 32, 0.1): (10,), (4, 32, 0.1): (5, 10), EIGHTH: (5,)}, **COLOURS, **NEAR),
+    *settings({EIGHTH: (5,)}, **COLOURS, **FEW),
+]
+FINER_DENSE = [
+    *settings({EIGHTH: (20,), (8, 64, 0.1): (10, 20), (16, 64, 0.25): (10,)}, **COLOURS, **NEAR),
+    *settings({(16, 64, 0.25): (10,)}, **COLOURS, **FEW),
+]
 MORE = {
-    "no friction": {n: settings({4: (3,), 8: (2, 3)}, **PGS) for n in ("100", "300", "1000")}
-    | {"3000": settings({4: (10,), 8: (3, 5)}, **COLOURS, **FEW)},
+    "plain": dict.fromkeys(("3000", "10000"), FINER_LARGE),
+    "mixed radii": dict.fromkeys(("3000", "10000"), FINER_LARGE),
+    "hopper": {"3000": [*FINER_LARGE, *settings({(2, 32, 0.1): (20,)}, **COLOURS, **NEAR)]},
+    "no friction": {
+        **{n: settings({4: (3,), 8: (2, 3)}, **PGS) for n in ("100", "300", "1000")},
+        "3000": settings({4: (10,), 8: (3, 5)}, **COLOURS, **FEW),
+    },
     "drum": {n: settings({2: (4,), 4: (2,)}, **PGS, **FEW) for n in ("100", "300", "1000", "3000")},
+    "densities 1 : 100": dict.fromkeys(("300", "1000", "10000"), FINER_DENSE),
     "heavy on light 1 : 10": {"10000": settings({4: (30,)}, **COLOURS, **FEW)},
-    "heavy on light 1 : 100": {"10000": settings({8: (40,), 16: (20,), 32: (20,)}, **COLOURS, **FEW)},
+    "heavy on light 1 : 100": {
+        **dict.fromkeys(("300", "1000"), FINER_DENSE),
+        "3000": [*FINER_DENSE, *settings({(8, 64, 0.1): (40,), (16, 64, 0.25): (20,)}, **COLOURS, **NEAR)],
+        "10000": settings({8: (40,), 16: (20,), 32: (20,)}, **COLOURS, **FEW),
+    },
 }
 """Kind of scene -> number of circles -> further settings.
 
@@ -271,7 +305,7 @@ def wanted(options: Mapping) -> dict[tuple[str, int, str], tuple[dict, int]]:
 
 def compute(options, seed, jobs, progress):
     """Measure all scenes and settings, and choose the settings of the presets."""
-    common = {"work": Path(options["work"]), "seconds": options["seconds"], "seed": seed}
+    common = {"work": Path(options["work"]), "seed": seed, **{name: options[name] for name in ("seconds", "earlier")}}
     rows = runs.observed_rows(runs.scene_of_kind, wanted(options), **common, jobs=jobs)
     times = {key: times_of(row, options["processes"]) for key, row in rows.items() if options["timed"]}
     return judged(runs.timed_rows(runs.scene_of_kind, rows, times, **common))
@@ -287,7 +321,7 @@ def times_of(row: Mapping, processes: int) -> int:
         return 0
     if row["kind"] != "plain":
         return 1
-    if row["setting"]["dt"] < TIME_STEP / 8:
+    if row["setting"]["dt"] < TIME_STEP / 16:
         return 0  # only Figure 6.2 uses the smallest time steps, and it draws no times
     least = {name: error[1] for name, error in row["errors"].items() if error}
     return processes if any(excess(least, most) <= 1 for most in PRESETS.values()) else 1
@@ -425,6 +459,7 @@ FULL = {
     "peer_seeds": {"100": 12, "300": 6, "1000": 6, "3000": 6, "10000": 3},
     "ladder_seeds": {"100": 12, "300": 6, "1000": 6, "3000": 6, "10000": 6},
     "peers": 1, "seconds": runs.SECONDS, "processes": 3, "timed": True, "work": "runs/run_tradeoff",
+    "earlier": "",
 }  # fmt: skip
 QUICK = {
     "seeds": {"100": {"plain": 4}, "300": {"plain": 3}}, "peer_seeds": {"100": 4},

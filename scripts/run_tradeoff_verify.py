@@ -105,7 +105,8 @@ def compute(options, seed, jobs, progress):
     "rows", "trades" and "again" have a row for each kind of scene, number of circles and preset. In "again" the setting
     is that of the reference with one sweep more. "times" are the rows of the presets whose computing time was measured.
     """
-    cases, chosen, times, common = {}, [], {}, {"work": Path(options["work"]), "seconds": options["seconds"]}
+    cases, chosen, times = {}, [], {}
+    common = {"work": Path(options["work"]), **{name: options[name] for name in ("seconds", "earlier")}}
     places = [(kind, int(n)) for n, kinds in options["scenes"].items() for kind in kinds]
     for kind, n in progress(places, text="settings"):
         start, count = scene(kind, n, seed), options["seeds"][str(n)]
@@ -184,7 +185,7 @@ OPTIONS = {
     "seeds": {"100": 20, "300": 10, "1000": 6, "3000": 4, "10000": 3}, "seconds": 6.0,
     "timed": {"100": ["plain"], "1000": MEDIUM, "10000": ["plain"]},
     "trades": {"100": ["silo", "heavy drum", "belt", "hopper", "terrain", "piston", "low dam", "wide radii"]},
-    "trade_seeds": 6, "work": "runs/run_tradeoff_verify",
+    "trade_seeds": 6, "work": "runs/run_tradeoff_verify", "earlier": "",
 }  # fmt: skip
 QUICK = {"scenes": {"100": ["plain", "belt"]}, "seeds": {"100": 3}, "seconds": 2.0, "timed": {"100": ["plain"]},
          "trades": {"100": ["belt"]}, "trade_seeds": 2}  # fmt: skip

@@ -38,7 +38,7 @@ from deep_contact.measure.watched import readings_of
 from deep_contact.scenes import drum, hopper, lattice_in_box, terrain
 from deep_contact.state.constants import GRAVITY, TIME_STEP
 from deep_contact.state.state import State
-from deep_contact.state.validation import one_of
+from deep_contact.state.validation import expect, one_of
 from deep_contact.studies import piles
 
 RESULTS = {"results": "data/reference/run_tradeoff.json"}
@@ -127,6 +127,9 @@ KINDS = {
 }
 """Kind of scene -> arguments of the function that makes it: of the entry "make", or else of `piles.pile_scene`."""
 
+AGAIN = 100
+"""If a study takes over the runs of an earlier commit, one in this number of them is computed again and compared."""
+
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
 """The setting whose runs stand for the limit of small time steps, and against which errors are measured.
 
@@ -184,13 +187,16 @@ def observed_rows(
     seconds: float,
     work: Path,
     jobs: int | Executor,
+    earlier: str = "",
 ) -> dict[Key, dict]:
     """Measure the errors of each case. Returns its key -> a row, a dict with the setting and its errors.
 
     make: function (kind, n_bodies, seed) -> scene, which other processes can import. cases: key -> (setting, number of
     seeds). The first case of a scene is its reference, which has no errors. seed: seed from which those of the scenes
     are made. seconds: simulated time of a run, s. work: folder for the results of finished runs, so that a study of the
-    same commit does not compute them again. jobs: number of processes, or an executor.
+    same commit does not compute them again. jobs: number of processes, or an executor. earlier: commit of an earlier
+    study, whose runs in the folder are taken over. One in `AGAIN` of these is computed again. Raises ValueError if it
+    differs in any bit.
     """
     common = {"seconds": seconds, "commit": commit()}
     parts = [(key, common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": setting})
@@ -199,9 +205,15 @@ def observed_rows(
     # The observations of a case are in the order of seeds, as are those of its reference. So observations with the same
     # index are of the same scene.
     seen: dict[Key, list] = {key: [] for key in cases}
-    tasks = [part for _, part in parts]
-    for (key, _), stored in zip(parts, done("observed", partial(observed, make), tasks, work=work, jobs=jobs)):
+    how = {"function": partial(observed, make), "work": work, "jobs": jobs}
+    found = done("observed", parts=[part | {"earlier": earlier} for _, part in parts], **how)
+    for (key, _), stored in zip(parts, found):
         seen[key].append(observation(stored))
+    if earlier:
+        sample = slice(None, None, AGAIN)
+        again = done("again", parts=[part for _, part in parts[sample]], **how)
+        for (key, _), stored, new in zip(parts[sample], found[sample], again):
+            expect(stored == new, f"earlier: expected a commit with the same bits, got another run of {key}")
     references, rows = {}, {}
     for key, ensemble in seen.items():
         kind, n_bodies, _ = key
@@ -214,23 +226,31 @@ def observed_rows(
 
 
 def timed_rows(
-    make: Callable, rows: Mapping[Key, dict], times: Mapping[Key, int], *, seed: int, seconds: float, work: Path
+    make: Callable,
+    rows: Mapping[Key, dict],
+    times: Mapping[Key, int],
+    *,
+    seed: int,
+    seconds: float,
+    work: Path,
+    earlier: str = "",
 ) -> list[dict]:
     """Measure the computing times of some cases. Returns the rows with "times", μs, and "us", the median of these.
 
     No other program should run at the same time. make, seed, seconds, work: as for `observed_rows`. rows: result of
     `observed_rows`. times: key -> number of times to measure. Each is measured in a new process, on a scene with
-    another seed.
+    another seed. earlier: commit of an earlier study, whose times in the folder are taken over where one time is to be
+    measured. Where there are several, engines are compared, so that all of them are measured in one sitting.
     """
     common, took = {"seconds": seconds, "commit": commit()}, {key: [] for key in rows}
     scenes = parallel.seeds(seed, max(times.values(), default=0))
     for number, one in enumerate(scenes):
         keys = [key for key in rows if times.get(key, 0) > number]
         parts = [common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": rows[key]["setting"]}
-                 for key in keys]  # fmt: skip
+                 | {"earlier": earlier if times[key] == 1 else ""} for key in keys]  # fmt: skip
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
             jobs = alone if len(scenes) > 1 else 1
-            for key, us in zip(keys, done("timed", partial(time_run, make), parts, work=work, jobs=jobs)):
+            for key, us in zip(keys, done("timed", partial(time_run, make), parts=parts, work=work, jobs=jobs)):
                 took[key].append(us)
     return [row | {"us": float(np.median(took[key])) if took[key] else None, "times": took[key]}
             for key, row in rows.items()]  # fmt: skip
@@ -244,7 +264,8 @@ def done(name: str, function: Callable, parts: Sequence[dict], *, work: Path, jo
 
     If the folder `work` has a file with the result of a part, and JSON can read it, the result is read from this file.
     Otherwise it is computed and stored. name: beginning of the files' names. function: function that other processes
-    can import, and whose result JSON can hold. parts: keyword arguments of the function for each part. work: folder of
+    can import, and whose result JSON can hold. parts: keyword arguments of the function for each part. If a part has
+    the entry "earlier", it is not passed on: a result that is stored under this commit is read, too. work: folder of
     the files. jobs: number of processes or an executor, as for `parallel.finished`; each process stores its results.
     """
     work.mkdir(parents=True, exist_ok=True)
@@ -252,14 +273,24 @@ def done(name: str, function: Callable, parts: Sequence[dict], *, work: Path, jo
     return parallel.parallel_map(run, parts, jobs=jobs, progress=parallel.progress_bar, text=name)
 
 
-def _done(name: str, function: Callable, work: Path, arguments: dict):
-    digest = hashlib.sha256(json.dumps(arguments, sort_keys=True).encode()).hexdigest()[:16]
-    path = work / f"{name}_{arguments['n_bodies']}_{digest}.json"
-    with suppress(FileNotFoundError, ValueError):
-        return json.loads(path.read_text(encoding="utf-8"))
-    result = results.plain(function(**arguments))
-    results.write_json(path, result)
+def _done(name: str, function: Callable, work: Path, part: dict):
+    arguments = {key: value for key, value in part.items() if key != "earlier"}
+    path = _file(name, work, arguments)
+    paths = [_file(name, work, arguments | {"commit": part["earlier"]})] if part.get("earlier") else []
+    for stored in (path, *paths):
+        with suppress(FileNotFoundError, ValueError):
+            result = json.loads(stored.read_text(encoding="utf-8"))
+            break
+    else:
+        result, stored = results.plain(function(**arguments)), None
+    if stored != path:
+        results.write_json(path, result)
     return result
+
+
+def _file(name: str, work: Path, arguments: dict) -> Path:
+    digest = hashlib.sha256(json.dumps(arguments, sort_keys=True).encode()).hexdigest()[:16]
+    return work / f"{name}_{arguments['n_bodies']}_{digest}.json"
 
 
 # ---- results of the study: the cheapest settings that satisfy a preset ----

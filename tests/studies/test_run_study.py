@@ -173,6 +173,40 @@ def test_fewer_seeds_than_the_reference_meet_its_runs_of_the_same_scenes(tmp_pat
     assert row["errors"]["energy"] == pytest.approx((1.0, 1.0, 1.0))
 
 
+def test_a_study_takes_over_the_runs_of_an_earlier_commit_and_tries_some_of_them_again(tmp_path, monkeypatch):
+    calls, factor = [], 1.0
+
+    def run(make, *, seed, **arguments):
+        calls.append(seed)
+        seen = stand_in(make, seed=seed, **arguments)
+        return seen | {"kinetic": [factor * one for one in seen["kinetic"]]}
+
+    monkeypatch.setattr(runs, "observed", run)
+    monkeypatch.setattr(runs, "time_run", lambda make, **_: float(len(calls)))
+    cases = {("plain", 20, "reference"): (runs.REFERENCE, 9), ("plain", 20, "coarse"): (COARSE, 3)}
+    common = {"seed": 0, "seconds": 1.0, "work": tmp_path}
+
+    def study(commit, count, **options):
+        monkeypatch.setattr(runs, "commit", lambda: commit)
+        calls.clear()
+        rows = runs.observed_rows(runs.scene_of_kind, cases, **common, **options, jobs=1)
+        return rows, runs.timed_rows(runs.scene_of_kind, rows, dict.fromkeys(cases, count), **common, **options)
+
+    first, timed = study("a", 1)
+    assert (len(calls), timed[1]["times"]) == (12, [12.0])
+    taken, timed = study("b", 1, earlier="a")
+    assert (len(calls), taken, timed[1]["times"]) == (1, first, [12.0])
+    assert study("c", 1)[0] == first
+    assert len(calls) == 12
+    factor = 1.5
+    with pytest.raises(ValueError, match=r"earlier: .*got another run of \('plain', 20, 'coarse'\)"):
+        study("d", 1, earlier="a")
+    asked = []
+    monkeypatch.setattr(runs, "done", lambda *_, parts=(), **__: asked.extend(parts) or [1.0] * len(parts))
+    runs.timed_rows(runs.scene_of_kind, first, {key: 2 for key in cases}, **common, earlier="a")
+    assert {part["earlier"] for part in asked} == {""}  # several times are compared with others: none is taken over
+
+
 @pytest.fixture
 def study(tmp_path, monkeypatch, without_runs):
     """A function: the results of a small study of these settings, and the script."""
