@@ -70,7 +70,9 @@ def test_a_new_load_makes_no_more_speed_than_where_nothing_was_carried(settled, 
 def test_a_pile_without_gravity_stays_where_it_is(settled, accuracy):
     state = CHANGES["gravity off"](settled[accuracy])
     after = dc.simulate(state, steps=100, accuracy=accuracy).state
-    assert np.abs(after.bodies.position - state.bodies.position).max() < 0.01
+    # Position correction parts circles that overlap by up to 0.005 m, in a pile of some ten rows.
+    assert np.abs(after.bodies.position - state.bodies.position).max() < 0.02
+    assert np.abs(after.bodies.velocity).max() < 1e-3
 
 
 def test_a_column_stays_when_its_heavy_top_is_taken_off():
