@@ -1,7 +1,7 @@
 """python tests/tools/material_laws.py janssen|collapse|ramps|rolling [--out FILE]: laws of the page Materials.
 
-* janssen: silos of 50 to 400 disc diameters, whose floor sinks slowly so that the friction of the walls is mobilised.
-  Janssen's K follows from the load on the floor. Walls of a material of their own, and walls of glued discs.
+* janssen: silos of 50 to 400 disc diameters, whose floor sinks until the friction of the walls is mobilised at all
+  heights, by some 5 % of the height. Janssen's K follows from the load on the floor. Walls of a material of their own, and walls of glued discs.
 * collapse: columns of 20 discs that collapse, with and without rolling resistance: run-out by aspect ratio.
 * ramps: loads that change by little in every step, for 300 or 500 steps, under five presets. Each run is compared with
   a run whose impulses are solved well in every step, both four times, shaken by 1e-7 m.
@@ -62,7 +62,7 @@ def add(args, rows: list[dict], row: dict) -> None:
 
 # ---- Janssen ----
 
-COLUMNS, SINKS, MU = 9, 0.02, 0.5
+COLUMNS, SINKS, MU = 9, 0.2, 0.5
 WIDTH = (COLUMNS - 0.5) * PITCH + 2.0 * LARGEST
 """Distance of the walls, m."""
 
@@ -74,12 +74,12 @@ def silo(height: int, walls: str, friction: float, seed: int) -> dc.State:
     centres, radii = packing(COLUMNS, rows, rng)
     top = 1.1 * rows * PITCH * math.sqrt(0.75) + 5.0
     grains = dc.make_bodies(centres + LARGEST, radius=radii)
-    box = (0.0, -10.0, WIDTH, top)
+    box = (0.0, -20.0, WIDTH, top)
     if walls == "glued":
-        y = np.arange(-9.0, top - 1.0, SMALLEST + LARGEST)
+        y = np.arange(-19.0, top - 1.0, SMALLEST + LARGEST)
         of_walls = [np.column_stack([np.full(len(y), x), y]) for x in (-LARGEST, WIDTH + LARGEST)]
         glued = dc.make_bodies(np.concatenate(of_walls), radius=LARGEST, fixed=True)
-        box = (-2.0, -10.0, WIDTH + 2.0, top)
+        box = (-2.0, -20.0, WIDTH + 2.0, top)
     world = dc.World(
         box=box, friction=[[MU, friction], [friction, MU]], wall_materials=(1, 1, 1, 1),
         segments=[((box[0], 0.0), (box[2], 0.0))], segment_materials=[1],
@@ -142,7 +142,7 @@ def janssen(args) -> None:
         for walls, friction in (("material", 0.3), ("material", 0.5), ("glued", 0.5)):
             for seed in range(args.seeds):
                 if (walls, friction, height, seed) not in done:
-                    add(args, rows, one_silo(height, walls, friction, seed, 1200 + 4 * height, 800))
+                    add(args, rows, one_silo(height, walls, friction, seed, 1200 + 20 * height, 800))
 
 
 # ---- collapse ----
