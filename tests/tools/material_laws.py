@@ -1,7 +1,8 @@
 """python tests/tools/material_laws.py janssen|collapse|ramps|rolling [--out FILE]: laws of the page Materials.
 
 * janssen: silos of 50 to 400 disc diameters, whose floor sinks until the friction of the walls is mobilised at all
-  heights, by some 5 % of the height. Janssen's K follows from the load on the floor. Walls of a material of their own, and walls of glued discs.
+  heights, by some 5 % of the height. Janssen's K follows from the load on the floor. Walls of a material of their own,
+  and walls of glued discs.
 * collapse: columns of 20 discs that collapse, with and without rolling resistance: run-out by aspect ratio.
 * ramps: loads that change by little in every step, for 300 or 500 steps, under five presets. Each run is compared with
   a run whose impulses are solved well in every step, both four times, shaken by 1e-7 m.
