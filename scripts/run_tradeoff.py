@@ -2,7 +2,7 @@
 
 This script has lists of scenes and settings. `studies.runs` simulates them, and measures errors and times. The results
 of finished runs are stored in the work folder, so that an interrupted study of one commit can be resumed. After a
-change that leaves all bits of runs as they are, `--set earlier=COMMIT` takes over the runs of that commit. First,
+change of the lists alone, `--set earlier=COMMIT` takes over the runs of an earlier commit. First,
 several processes compute the errors. Then one process measures the times, on a machine that runs nothing else;
 `--set timed=false` leaves the times out. `--install` alone measures the errors of the stored settings in motions with a
 known result, and writes the table of settings that `dc.simulate` and `dc.recommend` read. `--tolerances` proposes

@@ -70,8 +70,9 @@ MARGIN = 0.85
 scenes, so that its errors are uncertain."""
 
 MARGIN_COST = 2.0
-"""Largest factor by which `MARGIN` may raise the cost of a preset. Without this limit "reference" took 3.3 times as
-long for 10,000 circles, because the errors of a setting were up to 0.87 of the tolerances in place of 0.85."""
+"""Largest factor by which `MARGIN` may raise the cost of a preset. Without this limit the preset "reference" took a
+setting of 3.3 times the cost for 10,000 circles, while the errors of the cheaper setting were up to 0.87 of the
+tolerances."""
 
 KNOWN = 1.0
 """Largest error, %, that a setting may have in motions with known answers (`run_tradeoff.py`). Presets use no setting
@@ -318,8 +319,9 @@ def parts_for(numbers: SceneNumbers, dt: float) -> int:
 def keeping(candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True) -> list[dict]:
     """Return the candidates whose "errors" are within the tolerances.
 
-    margin: whether to return only the candidates whose errors are within `MARGIN` times the tolerances, if there are
-    any that cost at most `MARGIN_COST` times the cheapest candidate within the tolerances. The costs are their "us".
+    margin: whether to return only candidates whose errors are within `MARGIN` times the tolerances, and whose cost "us"
+    is at most `MARGIN_COST` times that of the cheapest candidate within the tolerances. If there is no such candidate,
+    all candidates within the tolerances are returned.
     """
     kept = [one for one in candidates if excess(one["errors"], tolerances) <= 1.0]
     if not (margin and kept):

@@ -128,7 +128,7 @@ KINDS = {
 """Kind of scene -> arguments of the function that makes it: of the entry "make", or else of `piles.pile_scene`."""
 
 AGAIN = 100
-"""If a study takes over the runs of an earlier commit, one in this number of them is computed again and compared."""
+"""A study that takes over the runs of an earlier commit computes every hundredth run again, and compares both."""
 
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
 """The setting whose runs stand for the limit of small time steps, and against which errors are measured.
@@ -195,8 +195,8 @@ def observed_rows(
     seeds). The first case of a scene is its reference, which has no errors. seed: seed from which those of the scenes
     are made. seconds: simulated time of a run, s. work: folder for the results of finished runs, so that a study of the
     same commit does not compute them again. jobs: number of processes, or an executor. earlier: commit of an earlier
-    study, whose runs in the folder are taken over. One in `AGAIN` of these is computed again. Raises ValueError if it
-    differs in any bit.
+    study. Runs that this study has stored in the folder are taken over. Every `AGAIN`-th run is computed again. Raises
+    ValueError if the new run differs in any bit from the stored run.
     """
     common = {"seconds": seconds, "commit": commit()}
     parts = [(key, common | {"kind": key[0], "n_bodies": key[1], "seed": one, "setting": setting})
@@ -239,8 +239,8 @@ def timed_rows(
 
     No other program should run at the same time. make, seed, seconds, work: as for `observed_rows`. rows: result of
     `observed_rows`. times: key -> number of times to measure. Each is measured in a new process, on a scene with
-    another seed. earlier: commit of an earlier study, whose times in the folder are taken over where one time is to be
-    measured. Where there are several, engines are compared, so that all of them are measured in one sitting.
+    another seed. earlier: commit of an earlier study. A case with a single time takes over the time that this study has
+    stored in the folder. A case with several times is compared with other engines, so all its times are measured anew.
     """
     common, took = {"seconds": seconds, "commit": commit()}, {key: [] for key in rows}
     scenes = parallel.seeds(seed, max(times.values(), default=0))
@@ -264,9 +264,10 @@ def done(name: str, function: Callable, parts: Sequence[dict], *, work: Path, jo
 
     If the folder `work` has a file with the result of a part, and JSON can read it, the result is read from this file.
     Otherwise it is computed and stored. name: beginning of the files' names. function: function that other processes
-    can import, and whose result JSON can hold. parts: keyword arguments of the function for each part. If a part has
-    the entry "earlier", it is not passed on: a result that is stored under this commit is read, too. work: folder of
-    the files. jobs: number of processes or an executor, as for `parallel.finished`; each process stores its results.
+    can import, and whose result JSON can hold. parts: keyword arguments of the function for each part. The entry
+    "earlier" of a part is not passed to the function. This entry is a commit, or "": a result that the folder has for
+    this commit is taken over. work: folder of the files. jobs: number of processes or an executor, as for
+    `parallel.finished`; each process stores its results.
     """
     work.mkdir(parents=True, exist_ok=True)
     run = partial(_done, name, function, work)
