@@ -41,6 +41,9 @@ Files of figures and tables are not listed here.
 TIMES = frozenset([*STUDIES, *(f"figure_{number}" for number in ("5_2", "5_10", "6_6", "6_7", "6_16"))])
 """Names of the results files that hold measured times."""
 
+WRITTEN = {"run_tradeoff.py": {"runs.json"}}
+"""Script -> data files that it writes from its results. They are not what its results were made from."""
+
 DRAWING = {"reporting", "figures", "plot"}
 """Folders of the package whose code only stores, judges and draws numbers. Their statements do not count."""
 
@@ -253,7 +256,7 @@ def reason(stored: dict, script: Path, *, is_time: bool) -> str:
             return f"{name} is old"
     changed = {name for digest, name in stored["code"].items() if digest not in everywhere()}
     changed |= {name for digest, name in read(script)[0].items() if digest not in stored["code"]}
-    if changed:
+    if changed := changed - WRITTEN.get(script.name, set()):
         return f"{', '.join(sorted(changed)[:3])}{f' and {len(changed) - 3} more' * (len(changed) > 3)} changed"
     if is_time:
         if stored["held"] != made_by(script)["held"]:

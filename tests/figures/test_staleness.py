@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from conftest import load_script
 
+from deep_contact.accuracy import presets
 from deep_contact.figures import staleness
 from deep_contact.io.shipped import ROOT
 
@@ -129,6 +130,14 @@ def test_moves_make_nothing_old(old):
 )
 def test_another_script_study_or_table_makes_a_result_old(old, changed, name):
     assert old(changed) == [f"{name} changed"] * 2
+
+
+def test_a_table_that_a_script_writes_does_not_make_its_own_results_old(old, monkeypatch):
+    """The study of runs imports the presets, which read the table that the study writes."""
+    monkeypatch.setitem(staleness.WRITTEN, "figure_9_1.py", {"runs.json"})
+    assert old({"deep_contact/runs.json": "[2]"}) == ["", ""]
+    assert old({"deep_contact/runs.json": "[2]"} | edited(STUDY, "N = 3", "N = 4")) == ["piles.N changed"] * 2
+    assert staleness.WRITTEN["run_tradeoff.py"] == {presets.TABLE.name}
 
 
 @pytest.mark.parametrize("file", [ENGINE, "deep_contact/rows.py"])
