@@ -532,6 +532,36 @@ def third_turn() -> list[float]:
     return [row["now"]["seconds"][2] / row["before"]["seconds"][2] for row in kinds]
 
 
+def law(name: str) -> list[dict]:
+    """Rows of a law in the results file of `tests/tools/material_laws.py`."""
+    return stored("material_laws")["laws"][name]["rows"]
+
+
+def silos_of(rough: bool) -> tuple[list[float], float]:
+    """Janssen: speeds of the median disc relative to the floor, m/s, and the largest difference of K from its mean, %.
+
+    rough: whether the walls are the two rougher kinds, or those of μ = 0.3. Each speed and each K is the mean of the
+    silos of a height, and the mean of K is over the heights.
+    """
+    speeds, differences = [], []
+    for walls in {(row["walls"], row["friction"]) for row in law("janssen") if (row["friction"] > 0.3) == rough}:
+        of = [row for row in law("janssen") if (row["walls"], row["friction"]) == walls]
+        heights = [[row for row in of if row["height"] == height] for height in {row["height"] for row in of}]
+        speeds += [float(np.mean([row["median speed"] for row in rows])) for rows in heights]
+        ks = np.array([np.mean([row["K"] for row in rows]) for rows in heights])
+        differences.append(float(np.abs(ks / ks.mean() - 1.0).max()))
+    return speeds, 100.0 * max(differences)
+
+
+def grows_with(rho: float) -> float:
+    """Exponent with which run-outs of columns grow from a = 4 to a = 16. rho: rolling resistance, m."""
+    low, high = (
+        np.mean([row["run-out"] for row in law("collapse") if (row["rho"], row["aspect"]) == (rho, aspect)])
+        for aspect in (4.0, 16.0)
+    )
+    return math.log(high / low) / math.log(4.0)
+
+
 AFTER = (3, 10, 30)
 """Sweeps after which the errors of Figure 6.8 are compared."""
 
@@ -712,6 +742,22 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             lambda: steps_live("simulate, one step each", 10, 100, 10000),
         ),
     ],
+    "materials.md": [
+        (
+            "the median disc moves at {:.3f} m/s at most relative to it. K then differs from its mean over the heights by at "
+            "most {:.1f} %",
+            lambda: [max(silos_of(rough=False)[0]), silos_of(rough=False)[1]],
+        ),
+        (
+            "The median disc moves at {:.2f} to {:.2f} m/s relative to the floor. Only a part of the friction works there, and "
+            "K differs from its mean by up to {:.0f} %",
+            lambda: [min(silos_of(rough=True)[0]), max(silos_of(rough=True)[0]), silos_of(rough=True)[1]],
+        ),
+        (
+            "grow with the exponent {:.2f} without rolling resistance, and with {:.2f} in its presence",
+            lambda: [grows_with(0.0), grows_with(0.09)],
+        ),
+    ],
     "other_starts.md": [
         (
             "loses {:.2f} of the impulse of an isolated contact and {:.2f} of those of a falling pile",
@@ -855,6 +901,10 @@ GIVEN: dict[str, list[str]] = {
     "guide.md": [
         *("0.01 s for r = 1 m", "takes 2.6 GB", "takes 0.6 GB"),
         *("about 1 ms of its own", "a scene took 10 ms", "a task of 10 s"),
+    ],
+    "materials.md": [
+        *("The floor sinks at 0.2 m/s, by some 5 % of the height", "Between walls of μ = 0.3", "20 discs wide, and μ = 0.5"),
+        *("the run-out is 1.2 a for a < 1.8, and 1.9 a^(2/3) for a > 2.8", "4.8 at a = 4, 7.6 at a = 8 and 12.1 at a = 16"),
     ],
     "moving.md": ["at most 0.001 √(g r)", "discs of 1 m under 9.81 m/s² at Δt = 0.01 s", "may move by 0.01"],
     "other_starts.md": ["Δt = 0.01 s", "1.75 | 1.45", "ω = 1.75 for the normal and 1.45 for", "d = h = 0.5 m"],

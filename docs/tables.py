@@ -311,9 +311,34 @@ def errata(kind: str) -> list[list]:
     return [list(found[0]), *(list(fault.values()) for fault in found)]
 
 
+def silos() -> list[list]:
+    """Janssen's K by the walls and the height of a silo, the mean of its seeds."""
+    found = {}
+    for row in measured.law("janssen"):
+        found.setdefault((row["walls"], row["friction"]), {}).setdefault(row["height"], []).append(row["K"])
+    heights = sorted({height for of in found.values() for height in of})
+    rows = [["walls", *(f"{height} diameters" for height in heights), "largest over smallest"]]
+    for (walls, friction), of in found.items():
+        means = {height: sum(ks) / len(ks) for height, ks in of.items()}
+        name = "glued discs" if walls == "glued" else f"a material, μ = {friction:g}"
+        rows.append([name, *(f"{means[height]:.2f}" for height in heights), f"{max(means.values()) / min(means.values()):.2f}"])
+    return rows
+
+
+def collapses() -> list[list]:
+    """Run-out (L∞ − L₀) / L₀ of columns by aspect ratio and rolling resistance."""
+    found = {}
+    for row in measured.law("collapse"):
+        found.setdefault(row["rho"], {}).setdefault(row["aspect"], []).append(row["run-out"])
+    rows = [["ρ over the mean radius", *(f"a = {aspect:g}" for aspect in found[0.0])]]
+    for rho, of in found.items():
+        rows.append([f"{rho / 0.45:.1f}", *(f"{sum(run_outs) / len(run_outs):.2f}" for run_outs in of.values())])
+    return rows
+
+
 _MADE = (
     *(engine, live, first_calls, compiling, noticed, presets, units, costs, each_rival, rivals, rivals_short, kinds, missed),
-    *(figures, sph_start, elements),
+    *(figures, sph_start, elements, silos, collapses),
 )
 
 TABLES = {table.__name__.replace("_", " "): table for table in _MADE} | {

@@ -3,7 +3,7 @@
 * janssen: silos of 50 to 400 disc diameters, whose floor sinks until the friction of the walls is mobilised at all
   heights, by some 5 % of the height. Janssen's K follows from the load on the floor. Walls of a material of their own,
   and walls of glued discs.
-* collapse: columns of 20 discs that collapse, with and without rolling resistance: run-out by aspect ratio.
+* collapse: columns that collapse, with and without rolling resistance: run-out by aspect ratio.
 * ramps: loads that change by little in every step, for 300 or 500 steps, under five presets. Each run is compared with
   a run whose impulses are solved well in every step, both four times, shaken by 1e-7 m.
 * rolling: errors of a solve whose rolling impulses λ_r start from 0, as they do, and from those of the step before.
@@ -16,6 +16,7 @@ import json
 import math
 import warnings
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -149,11 +150,11 @@ def janssen(args) -> None:
 # ---- collapse ----
 
 
-def collapse_scene(aspect: float, rho: float, seed: int) -> tuple[dc.State, float]:
-    """A column of 20 discs side by side that nothing holds, of height `aspect` times half its width; that half."""
+def collapse_scene(width: int, aspect: float, rho: float, seed: int) -> tuple[dc.State, float]:
+    """A column that nothing holds, `width` discs wide, of height `aspect` times half its width; that half, m."""
     rng = np.random.default_rng((6, seed))
-    half = 10.0 * PITCH
-    centres, radii = packing(20, round(aspect * half / (PITCH * math.sqrt(0.75))), rng)
+    half = 0.5 * width * PITCH
+    centres, radii = packing(width, round(aspect * half / (PITCH * math.sqrt(0.75))), rng)
     room = half * (4.0 + 4.0 * aspect)
     box = (0.0, 0.0, 2.0 * room, 1.2 * centres[:, 1].max() + 4.0)
     bodies = dc.make_bodies(centres + np.array([room - half, LARGEST]), radius=radii)
@@ -170,9 +171,9 @@ def heap_of(state: dc.State, gap: float = 0.05) -> np.ndarray:
     return label == np.bincount(label).argmax()
 
 
-def one_collapse(aspect: float, rho: float, seed: int) -> dict:
+def one_collapse(width: int, aspect: float, rho: float, seed: int) -> dict:
     """Run-out (L∞ − L₀) / L₀, and the height over L₀, of the heap that is left."""
-    state, half = collapse_scene(aspect, rho, seed)
+    state, half = collapse_scene(width, aspect, rho, seed)
     steps = round((5.0 * math.sqrt(2.0 * aspect * half / G) + 4.0) / state.dt)
     end = dc.simulate(state, steps=steps, solver=dc.PGS(sweeps=20, tolerance=None)).state
     heap, x = heap_of(end), end.bodies.position[:, 0]
@@ -180,7 +181,8 @@ def one_collapse(aspect: float, rho: float, seed: int) -> dict:
     length = 0.5 * (mine.max() - mine.min()) + 0.5 * (SMALLEST + LARGEST)
     quantile = 0.5 * float(np.subtract(*np.quantile(x, [0.99, 0.01])))
     return {
-        "aspect": aspect, "rho": rho, "seed": seed, "discs": state.bodies.count, "in heap": int(heap.sum()),
+        "width": width, "aspect": aspect, "rho": rho, "seed": seed,
+        "discs": state.bodies.count, "in heap": int(heap.sum()),
         "run-out": float(length / half - 1.0), "run-out of 98 %": quantile / half - 1.0,
         "height": float(end.bodies.position[heap, 1].max() / half),
         "rms speed": float(np.sqrt((end.bodies.velocity[heap] ** 2).sum(axis=1).mean())),
@@ -188,12 +190,10 @@ def one_collapse(aspect: float, rho: float, seed: int) -> dict:
 
 
 def collapse(args) -> None:
-    rows, done = begun(args, "rho", "aspect", "seed")
-    for aspect in args.aspects:
-        for rho in args.rho:
-            for seed in range(args.seeds):
-                if (rho, aspect, seed) not in done:
-                    add(args, rows, one_collapse(aspect, rho, seed))
+    rows, done = begun(args, "width", "rho", "aspect", "seed")
+    for width, aspect, rho, seed in product(args.widths, args.aspects, args.rho, range(args.seeds)):
+        if (width, rho, aspect, seed) not in done:
+            add(args, rows, one_collapse(width, aspect, rho, seed))
 
 
 # ---- ramps ----
@@ -385,6 +385,7 @@ def main() -> None:
     parser.add_argument("law", choices=LAWS)
     parser.add_argument("--seeds", type=int, default=2)
     parser.add_argument("--heights", type=int, nargs="*", default=[50, 100, 200, 400], help="of silos, in diameters")
+    parser.add_argument("--widths", type=int, nargs="*", default=[20], help="of columns, in discs")
     parser.add_argument("--aspects", type=float, nargs="*", default=[1.0, 2.0, 4.0, 8.0, 16.0])
     parser.add_argument("--rho", type=float, nargs="*", default=[0.0, 0.045, 0.09], help="rolling resistance, m")
     parser.add_argument("--presets", nargs="*", default=list(PRESETS))
