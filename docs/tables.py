@@ -326,19 +326,42 @@ def silos() -> list[list]:
 
 
 def collapses() -> list[list]:
-    """Run-out (L∞ − L₀) / L₀ of columns by aspect ratio and rolling resistance."""
+    """Run-out (L∞ − L₀) / L₀ of columns by aspect ratio, rolling resistance and width, the mean of its seeds."""
     found = {}
     for row in measured.law("collapse"):
-        found.setdefault(row["rho"], {}).setdefault(row["aspect"], []).append(row["run-out"])
-    rows = [["ρ over the mean radius", *(f"a = {aspect:g}" for aspect in found[0.0])]]
-    for rho, of in found.items():
-        rows.append([f"{rho / 0.45:.1f}", *(f"{sum(run_outs) / len(run_outs):.2f}" for run_outs in of.values())])
+        found.setdefault((row["rho"], row["width"]), {}).setdefault(row["aspect"], []).append(row["run-out"])
+    aspects = sorted({aspect for of in found.values() for aspect in of})
+    rows = [["ρ over the mean radius", "discs side by side", *(f"a = {aspect:g}" for aspect in aspects)]]
+    for (rho, width), of in sorted(found.items()):
+        cells = (f"{sum(of[aspect]) / len(of[aspect]):.1f}" if aspect in of else None for aspect in aspects)
+        rows.append([f"{rho / 0.45:.1f}", f"{width}", *cells])
+    return rows
+
+
+def cooling() -> list[list]:
+    """Rates of gases that cool over that of Haff's law, by events and by Δt, with standard errors."""
+    dense, thin, early = (measured.law(f"haff, side {of}") for of in ("128, 80 s", "256, 320 s", "128, 4 s"))
+    lost = {(row["seed"], row["by"]): row["lost"] for row in early}
+    rows = [["Δt, s", *(f"rate, {100 * of[0]['covered']:.1f} % covered" for of in (dense, thin)), "energy lost in 4 s over that by events"]]
+    for by in dict.fromkeys(row["by"] for row in dense):
+        rates = ([row["rate over theory"] for row in of if row["by"] == by] for of in (dense, thin))
+        losses = [value / lost[seed, "events"] for (seed, kind), value in lost.items() if kind == by != "events"]
+        rows.append(["by events" if by == "events" else by, *map(measured.mean_and_error, (*rates, losses))])
+    return rows
+
+
+def ramps() -> list[list]:
+    """Differences of runs whose load changes in every step from runs that are solved anew, the largest of all presets."""
+    rows = [["ramp", "mean height differs by, m", "shaken, m", "top speed differs by, m/s", "shaken, m/s"]]
+    for name in dict.fromkeys(row["ramp"] for row in measured.law("ramps")):
+        cells = (max(values) for of in ("height", "top speed") for values in measured.apart(name, of))
+        rows.append([name, *(measured.written(cell, ".1e") for cell in cells)])
     return rows
 
 
 _MADE = (
     *(engine, live, first_calls, compiling, noticed, presets, units, costs, each_rival, rivals, rivals_short, kinds, missed),
-    *(figures, sph_start, elements, silos, collapses),
+    *(figures, sph_start, elements, silos, collapses, cooling, ramps),
 )
 
 TABLES = {table.__name__.replace("_", " "): table for table in _MADE} | {

@@ -171,7 +171,8 @@ def main() -> None:
     parser.add_argument("--restitution", type=float, default=0.9)
     parser.add_argument("--seeds", type=int, default=16)
     parser.add_argument("--end", type=float, default=80.0, help="time of the last state, s")
-    parser.add_argument("--steps", type=float, nargs="*", default=[0.02, 0.01, 0.005, 0.0025], help="Δt of the engine, s")
+    steps = [0.02, 0.01, 0.005, 0.0025]
+    parser.add_argument("--steps", type=float, nargs="*", default=steps, help="Δt of the engine, s")
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
     e, times, name = args.restitution, np.linspace(0.0, args.end, 41), f"haff, side {args.side:g}, {args.end:g} s"
