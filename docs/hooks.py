@@ -30,8 +30,8 @@ PICTURES = (".png", ".gif")
 PLAYS = ".html"
 TIMEOUT_S = 3600
 LONG = () if os.environ.get("DEEP_CONTACT_GALLERY") != "quick" else (
-    "biaxial", "cluster", "drum_trade", "hopper_trade", "one_sweep", "photographed_packing", "plain_keras",
-    "predict_impulses", "redraw_figure", "train_network",
+    "biaxial", "cluster", "drum_trade", "feed_hopper", "hopper_trade", "one_sweep", "photographed_packing",
+    "plain_keras", "predict_impulses", "redraw_figure", "train_network",
 )  # fmt: skip
 """Programs that take most of the time: with DEEP_CONTACT_GALLERY=quick, as in CI, their pages show the code alone."""
 PATHS = {"PYTHONPATH": str(ROOT), "TF_CPP_MIN_LOG_LEVEL": "3"}
