@@ -1,9 +1,12 @@
-"""python tests/tools/slow_cases.py [bounces] [terrain] [ten]: times in cases in which this package once was slow.
+"""python tests/tools/slow_cases.py [bounces] [terrain] [ten] [materials]: times in cases in which this package once was
+slow, or that model more.
 
 bounces  1,000 circles, 6 s, preset "fast": the time of e = 0.3 and of e = 0.8, divided by that of e = 0
 terrain  100 circles on rough ground: the time of the fastest other engine that keeps a preset, divided by ours, with
          the settings of Figure 6.16 (`data/reference/figure_6_16.json`); errors are not measured again
 ten      10 circles, step by step: the time of `Simulator.step`, divided by that of pymunk's `Space.step`
+materials  resting piles, ten sweeps: the time of a step with two materials of equal tables, and with rolling
+         resistance, divided by the time of a step with one number for all pairs
 
 All runs of a case take turns. The time of a run is its least thread time, so that other programs disturb it little.
 They still share caches with it: for times that are printed somewhere, let the machine run nothing else.
@@ -15,9 +18,12 @@ import json
 import sys
 import warnings
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from time import thread_time
+
+import numpy as np
 
 import deep_contact as dc
 from deep_contact.accuracy.presets import PRESETS
@@ -97,7 +103,28 @@ def ten() -> None:
         print(f"ten, {name}: {1e6 * seconds / 500:.2f} μs a step, {seconds / least['pymunk']:.2f} times pymunk")
 
 
-CASES = {"bounces": bounces, "terrain": terrain, "ten": ten}
+def materials() -> None:
+    """Print the times of a step of resting piles with one material, with two, and with rolling resistance."""
+    for count, steps in ((100, 1500), (1000, 250), (10_000, 40)):
+        pile = dc.simulate(dc.lattice_in_box(count, seed=1), steps=600, accuracy="fast").state
+        kinds = np.random.default_rng(0).integers(0, 2, count)
+        mu, e = pile.world.friction, pile.world.restitution
+        tables = replace(pile.world, friction=[[mu, mu], [mu, mu]], restitution=[[e, e], [e, e]])
+        rolling = replace(pile.world, rolling_friction=0.05)
+        scenes = {
+            "one": pile, "two materials": pile.replace(world=tables, bodies=pile.bodies._replace(material=kinds)),
+            "rolling resistance": pile.replace(world=rolling),
+        }  # fmt: skip
+        for solver in (dc.PGS(sweeps=10, tolerance=None), dc.BatchedPGS(sweeps=10, tolerance=None)):
+            # Their first steps test the carried impulses, since the world has changed. These steps are not timed.
+            begun = {name: dc.simulate(scene, steps=60, solver=solver).state for name, scene in scenes.items()}
+            runs = {name: partial(partial, dc.simulate, one, steps=steps, solver=solver) for name, one in begun.items()}
+            least = least_times(runs, 12)
+            ratios = ", ".join(f"{name} {least[name] / least['one']:.3f}" for name in list(least)[1:])
+            print(f"materials, {count} circles, {type(solver).__name__}: {1e6 * least['one'] / steps:.1f} μs a step; {ratios}")
+
+
+CASES = {"bounces": bounces, "terrain": terrain, "ten": ten, "materials": materials}
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
