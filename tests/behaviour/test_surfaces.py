@@ -18,8 +18,6 @@ from deep_contact.stepping import metrics
 BOX = (0.0, 0.0, 60.0, 40.0)
 LEVEL = ((5.0, 10.0), (55.0, 10.0))
 SOLVERS = {name: METHODS[name]() for name in METHODS} | {"islands": dc.PGS(islands=True)}
-STEPPED = [pytest.param(name, marks=[pytest.mark.slow] * (name in ("islands", "NNCG"))) for name in SOLVERS]
-"""Solvers whose steps are tested. Two are slow tests: no other test compiles their steps beside a belt."""
 G = 9.81
 
 
@@ -35,7 +33,7 @@ def turning():
 
 @pytest.mark.parametrize("reverse", [False, True])
 @pytest.mark.parametrize("speed", [3.0, -3.0])
-@pytest.mark.parametrize("name", STEPPED)
+@pytest.mark.parametrize("name", SOLVERS)
 def test_a_belt_drags_a_disc_as_in_closed_form(name, speed, reverse):
     # It slides at μ g until its rim has the belt's speed, which is when its centre has a third of it: I = m r² / 2.
     scene = on_belt(-speed, LEVEL[::-1]) if reverse else on_belt(speed)
