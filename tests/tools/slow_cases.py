@@ -121,7 +121,8 @@ def materials() -> None:
             runs = {name: partial(partial, dc.simulate, one, steps=steps, solver=solver) for name, one in begun.items()}
             least = least_times(runs, 12)
             ratios = ", ".join(f"{name} {least[name] / least['one']:.3f}" for name in list(least)[1:])
-            print(f"materials, {count} circles, {type(solver).__name__}: {1e6 * least['one'] / steps:.1f} μs a step; {ratios}")
+            name = f"materials, {count} circles, {type(solver).__name__}"
+            print(f"{name}: {1e6 * least['one'] / steps:.1f} μs a step; {ratios}")
 
 
 CASES = {"bounces": bounces, "terrain": terrain, "ten": ten, "materials": materials}
